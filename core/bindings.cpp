@@ -1,0 +1,410 @@
+// The Python face of the core, described for readers in src/masat/_core.pyi.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/unique_ptr.h>
+#include <nanobind/stl/vector.h>
+
+#include <Eigen/Cholesky>
+
+#include "graph/topology.hpp"
+#include "initializers/placement.hpp"
+#include "lie/se2.hpp"
+#include "lie/se3.hpp"
+#include "optimizers/normal_equations.hpp"
+#include "text/records.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace masat {
+namespace {
+
+template <class T>
+using Vector = nb::ndarray<const T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+template <class T>
+using Table = nb::ndarray<const T, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Stack = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+template <class T>
+using Array = nb::ndarray<nb::numpy, T>;
+
+// Hands the vector's memory to NumPy.
+template <class T>
+Array<T> as_array(std::vector<T>&& values, std::initializer_list<std::size_t> shape) {
+  auto* const owned = new std::vector<T>(std::move(values));
+  nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+  return Array<T>(owned->data(), shape, owner);
+}
+template <class T>
+Array<T> as_array(std::vector<T>&& values) {
+  const std::size_t size = values.size();
+  return as_array(std::move(values), {size});
+}
+
+void require(bool condition, const char* what) {
+  if (!condition) throw std::invalid_argument(what);
+}
+
+template <class T>
+std::span<const T> span_of(const Vector<T>& v) {
+  return {v.data(), v.shape(0)};
+}
+
+// Calls f with a null pointer of the group whose poses have that many numbers.
+template <class F>
+auto with_group(std::size_t pose_size, F f) {
+  require(pose_size == SE2::kSize || pose_size == SE3::kSize, "poses have 3 or 7 numbers");
+  return pose_size == SE2::kSize ? f(static_cast<SE2*>(nullptr)) : f(static_cast<SE3*>(nullptr));
+}
+
+// Runs f(group, i) for each of `rows` rows of poses without the interpreter lock.
+template <class F>
+Array<double> map_poses(std::size_t rows, std::size_t pose_size, std::size_t out_size, F f) {
+  std::vector<double> out(rows * out_size);
+  {
+    nb::gil_scoped_release release;
+    with_group(pose_size, [&](auto* group) {
+      for (std::size_t i = 0; i < rows; ++i) f(group, i, out.data() + i * out_size);
+    });
+  }
+  return as_array(std::move(out), {rows, out_size});
+}
+
+Array<double> compose(const Table<double>& a, const Table<double>& b) {
+  const std::size_t k = a.shape(1);
+  require(a.shape(0) == b.shape(0) && b.shape(1) == k, "poses must have the same shape");
+  return map_poses(a.shape(0), k, k, [&]<class Group>(Group*, std::size_t i, double* out) {
+    (Group::load(a.data() + i * k) * Group::load(b.data() + i * k)).store(out);
+  });
+}
+
+Array<double> inverse(const Table<double>& a) {
+  const std::size_t k = a.shape(1);
+  return map_poses(a.shape(0), k, k, [&]<class Group>(Group*, std::size_t i, double* out) {
+    Group::load(a.data() + i * k).inverse().store(out);
+  });
+}
+
+Array<double> retract(const Table<double>& a, const Table<double>& d) {
+  const std::size_t k = a.shape(1), dof = k == SE2::kSize ? SE2::kDof : SE3::kDof;
+  require(a.shape(0) == d.shape(0) && d.shape(1) == dof, "steps must have 3 or 6 numbers a pose");
+  return map_poses(a.shape(0), k, k, [&]<class Group>(Group*, std::size_t i, double* out) {
+    (Group::load(a.data() + i * k) * Group::from_tangent(d.data() + i * dof)).store(out);
+  });
+}
+
+Array<double> local(const Table<double>& a, const Table<double>& b) {
+  const std::size_t k = a.shape(1), dof = k == SE2::kSize ? SE2::kDof : SE3::kDof;
+  require(a.shape(0) == b.shape(0) && b.shape(1) == k, "poses must have the same shape");
+  return map_poses(a.shape(0), k, dof, [&]<class Group>(Group*, std::size_t i, double* out) {
+    Eigen::Map<typename Group::Tangent>{out} =
+        error(Group{}, Group::load(a.data() + i * k), Group::load(b.data() + i * k));
+  });
+}
+
+// Indices of the matrices that are not positive definite.
+template <int Dof>
+std::vector<std::int64_t> not_positive_definite(const double* matrices, std::size_t count) {
+  using Square = Eigen::Matrix<double, Dof, Dof>;
+  std::vector<std::int64_t> bad;
+  for (std::size_t k = 0; k < count; ++k) {
+    const Eigen::LLT<Square> llt(Eigen::Map<const Square>(matrices + k * Dof * Dof));
+    if (llt.info() != Eigen::Success) bad.push_back(static_cast<std::int64_t>(k));
+  }
+  return bad;
+}
+
+Array<std::int64_t> indefinite(const Stack& matrices) {
+  require(
+      matrices.shape(1) == matrices.shape(2) && (matrices.shape(1) == 3 || matrices.shape(1) == 6),
+      "information matrices are 3x3 or 6x6");
+  std::vector<std::int64_t> bad;
+  {
+    nb::gil_scoped_release release;
+    bad = matrices.shape(1) == 3 ? not_positive_definite<3>(matrices.data(), matrices.shape(0))
+                                 : not_positive_definite<6>(matrices.data(), matrices.shape(0));
+  }
+  return as_array(std::move(bad));
+}
+
+Topology make_topology(std::int32_t nodes, const Table<std::int32_t>& edges) {
+  require(edges.shape(1) == 2, "edges must be (m, 2)");
+  require(edges.shape(0) < (std::size_t{1} << 30), "more than 2^30 edges");
+  const std::int32_t* const p = edges.data();
+  nb::gil_scoped_release release;
+  std::vector<Edge> list(edges.shape(0));
+  for (std::size_t k = 0; k < list.size(); ++k) {
+    list[k] = {p[2 * k], p[2 * k + 1]};
+    require(list[k].from >= 0 && list[k].from < nodes && list[k].to >= 0 && list[k].to < nodes,
+            "edge index out of range");
+  }
+  return Topology(nodes, std::move(list));
+}
+
+void check_poses(const Topology& graph, const Table<double>& measurements,
+                 const Table<double>& poses) {
+  require(measurements.shape(0) == graph.edges().size() &&
+              poses.shape(0) == static_cast<std::size_t>(graph.nodes()) &&
+              poses.shape(1) == measurements.shape(1),
+          "measurements must be (m, k), poses (n, k)");
+}
+
+void check_roots(const Topology& graph, std::span<const std::int32_t> roots) {
+  for (const std::int32_t r : roots) require(r >= 0 && r < graph.nodes(), "root out of range");
+}
+
+// Walks the graph with `place(group, out)`, starting from a copy of `poses`.
+template <class F>
+Array<double> placed(const Table<double>& poses, F place) {
+  std::vector<double> out(poses.data(), poses.data() + poses.size());
+  {
+    nb::gil_scoped_release release;
+    with_group(poses.shape(1), [&](auto* group) { place(group, out.data()); });
+  }
+  return as_array(std::move(out), {poses.shape(0), poses.shape(1)});
+}
+
+std::vector<TreeLink> tree(const Topology& graph, const Vector<std::int32_t>& roots,
+                           const Vector<bool>& preferred) {
+  check_roots(graph, span_of(roots));
+  require(preferred.shape(0) == 0 || preferred.shape(0) == graph.edges().size(),
+          "preferred must be empty or have an entry an edge");
+  return graph.tree(span_of(roots), span_of(preferred));
+}
+
+nb::tuple tree_placement(const Topology& graph, const Vector<std::int32_t>& roots,
+                         const Vector<bool>& preferred, const Table<double>& measurements,
+                         const Table<double>& poses) {
+  check_poses(graph, measurements, poses);
+  std::vector<TreeLink> links;
+  std::vector<std::int32_t> used;
+  auto out = placed(poses, [&]<class Group>(Group*, double* p) {
+    links = tree(graph, roots, preferred);
+    for (const TreeLink& link : links) {
+      if (link.edge >= 0) used.push_back(link.edge);
+    }
+    place_along_tree<Group>(graph, links, measurements.data(), p);
+  });
+  return nb::make_tuple(out, as_array(std::move(used)));
+}
+
+Array<double> masat_placement(const Topology& graph, const Vector<std::int32_t>& roots,
+                              const Table<double>& measurements, const Table<double>& poses) {
+  check_roots(graph, span_of(roots));
+  check_poses(graph, measurements, poses);
+  return placed(poses, [&]<class Group>(Group*, double* p) {
+    place_by_masat<Group>(graph, span_of(roots), measurements.data(), p);
+  });
+}
+
+std::unique_ptr<NormalEquations> make_equations(const Topology& graph,
+                                                const Table<double>& measurements,
+                                                const Stack& information,
+                                                const Vector<bool>& fixed) {
+  const std::size_t m = graph.edges().size();
+  require(measurements.shape(0) == m && information.shape(0) == m, "one row an edge");
+  require(fixed.shape(0) == static_cast<std::size_t>(graph.nodes()), "one flag a node");
+  nb::gil_scoped_release release;
+  return with_group(
+      measurements.shape(1), [&]<class Group>(Group*) -> std::unique_ptr<NormalEquations> {
+        require(information.shape(1) == Group::kDof && information.shape(2) == Group::kDof,
+                "information must be (m, d, d)");
+        return std::make_unique<NormalEquationsOf<Group>>(graph, measurements.data(),
+                                                          information.data(), span_of(fixed));
+      });
+}
+
+const double* check_poses(const NormalEquations& equations, const Table<double>& poses) {
+  require(poses.shape(0) == static_cast<std::size_t>(equations.nodes()) &&
+              poses.shape(1) == static_cast<std::size_t>(equations.pose_size()),
+          "poses must be (n, 3) or (n, 7)");
+  return poses.data();
+}
+
+std::size_t unknowns(const NormalEquations& e) { return e.free_nodes().size() * e.dof(); }
+
+Array<double> edge_chi2(NormalEquations& equations, const Table<double>& poses) {
+  const double* const p = check_poses(equations, poses);
+  std::vector<double> out(equations.edges());
+  {
+    nb::gil_scoped_release release;
+    equations.edge_chi2(p, out.data());
+  }
+  return as_array(std::move(out));
+}
+
+Array<double> step_of(NormalEquations& equations) {
+  std::vector<double> step(unknowns(equations));
+  {
+    nb::gil_scoped_release release;
+    equations.solve(step.data());
+  }
+  return as_array(std::move(step));
+}
+
+Array<double> moved(const NormalEquations& equations, const Table<double>& poses,
+                    const Vector<double>& step) {
+  const double* const p = check_poses(equations, poses);
+  require(step.shape(0) == unknowns(equations), "the step must have an entry an unknown");
+  std::vector<double> out(poses.size());
+  {
+    nb::gil_scoped_release release;
+    equations.retract(p, step.data(), out.data());
+  }
+  return as_array(std::move(out), {poses.shape(0), poses.shape(1)});
+}
+
+nb::dict parse_text(const nb::bytes& text, const std::vector<Record>& records) {
+  ParsedGraph g;
+  {
+    const std::string_view view(text.c_str(), text.size());
+    nb::gil_scoped_release release;
+    g = parse(view, records);
+  }
+  const std::size_t n = g.vertex_ids.size(), m = g.edge_lines.size();
+  const std::size_t size = g.dimension == 2 ? 3 : 7, dof = g.dimension == 2 ? 3 : 6;
+  nb::dict unknown;
+  for (const UnknownTag& u : g.unknown) {
+    unknown[nb::bytes(u.tag.data(), u.tag.size())] = nb::make_tuple(u.count, u.first_line);
+  }
+  nb::dict out;
+  out["dimension"] = g.dimension;
+  out["vertex_ids"] = as_array(std::move(g.vertex_ids));
+  out["vertex_lines"] = as_array(std::move(g.vertex_lines));
+  out["vertex_poses"] = as_array(std::move(g.vertex_poses), {n, size});
+  out["edge_ids"] = as_array(std::move(g.edge_ids), {m, 2});
+  out["edge_lines"] = as_array(std::move(g.edge_lines));
+  out["measurements"] = as_array(std::move(g.measurements), {m, size});
+  out["information"] = as_array(std::move(g.information), {m, dof, dof});
+  out["fixed_ids"] = as_array(std::move(g.fixed_ids));
+  out["fixed_lines"] = as_array(std::move(g.fixed_lines));
+  out["unknown"] = unknown;
+  out["edges_without_information"] = g.edges_without_information;
+  return out;
+}
+
+nb::dict tags_of(const nb::bytes& text) {
+  nb::dict out;
+  for (const auto& [tag, count] : count_tags({text.c_str(), text.size()})) {
+    out[nb::bytes(tag.data(), tag.size())] = count;
+  }
+  return out;
+}
+
+nb::bytes formatted(const std::string& tag, const Table<std::int64_t>& integers,
+                    const Table<double>& values) {
+  require(integers.shape(0) == values.shape(0), "as many rows of integers as of values");
+  std::string out;
+  {
+    nb::gil_scoped_release release;
+    out = format_lines(tag, integers.data(), integers.shape(1), values.data(), values.shape(1),
+                       values.shape(0));
+  }
+  return nb::bytes(out.data(), out.size());
+}
+
+}  // namespace
+}  // namespace masat
+
+NB_MODULE(_core, m) {
+  using namespace masat;
+
+  static PyObject* parse_error = PyErr_NewException("masat._core.ParseError", nullptr, nullptr);
+  m.attr("ParseError") = nb::borrow(parse_error);
+  nb::register_exception_translator([](const std::exception_ptr& p, void*) {
+    try {
+      std::rethrow_exception(p);
+    } catch (const ParseError& e) {
+      PyErr_SetObject(parse_error, nb::make_tuple(e.line, e.what()).ptr());
+    }
+  });
+
+  m.def("compose", &compose, "a"_a, "b"_a);
+  m.def("inverse", &inverse, "a"_a);
+  m.def("retract", &retract, "a"_a, "step"_a);
+  m.def("local", &local, "a"_a, "b"_a);
+  m.def("indefinite", &indefinite, "matrices"_a);
+
+  nb::class_<Topology>(m, "Topology")
+      .def(
+          "__init__",
+          [](Topology* self, std::int32_t nodes, const Table<std::int32_t>& edges) {
+            new (self) Topology(make_topology(nodes, edges));
+          },
+          "nodes"_a, "edges"_a)
+      .def("components", [](const Topology& t) { return as_array(t.components()); });
+  m.def("place_along_tree", &tree_placement, "topology"_a, "roots"_a, "preferred"_a,
+        "measurements"_a, "poses"_a);
+  m.def("place_by_masat", &masat_placement, "topology"_a, "roots"_a, "measurements"_a, "poses"_a);
+
+  nb::class_<NormalEquations>(m, "NormalEquations")
+      .def(nb::new_(&make_equations), "topology"_a, "measurements"_a, "information"_a, "fixed"_a)
+      .def_prop_ro("fill", &NormalEquations::fill)
+      .def_prop_ro("free_nodes",
+                   [](const NormalEquations& e) {
+                     return as_array(
+                         std::vector<std::int32_t>(e.free_nodes().begin(), e.free_nodes().end()));
+                   })
+      .def(
+          "chi2",
+          [](NormalEquations& e, const Table<double>& poses) {
+            const double* const p = check_poses(e, poses);
+            nb::gil_scoped_release release;
+            return e.chi2(p);
+          },
+          "poses"_a)
+      .def("edge_chi2", &edge_chi2, "poses"_a)
+      .def(
+          "linearize",
+          [](NormalEquations& e, const Table<double>& poses) {
+            const double* const p = check_poses(e, poses);
+            nb::gil_scoped_release release;
+            return e.linearize(p);
+          },
+          "poses"_a)
+      .def("rhs",
+           [](const NormalEquations& e) {
+             return as_array(std::vector<double>(e.rhs().begin(), e.rhs().end()));
+           })
+      .def("diagonal",
+           [](const NormalEquations& e) {
+             std::vector<double> out(unknowns(e));
+             e.diagonal(out.data());
+             return as_array(std::move(out));
+           })
+      .def(
+          "factorize",
+          [](NormalEquations& e, const Vector<double>& damping) {
+            require(damping.shape(0) == unknowns(e), "damping must have an entry an unknown");
+            nb::gil_scoped_release release;
+            return e.factorize(span_of(damping));
+          },
+          "damping"_a)
+      .def("solve", &step_of)
+      .def("retract", &moved, "poses"_a, "step"_a);
+
+  nb::enum_<Kind>(m, "Kind")
+      .value("VERTEX", Kind::kVertex)
+      .value("EDGE", Kind::kEdge)
+      .value("FIX", Kind::kFix)
+      .value("POSE", Kind::kPose);
+  nb::enum_<PoseText>(m, "PoseText")
+      .value("XY_THETA", PoseText::kXYTheta)
+      .value("XYZ_QUATERNION", PoseText::kXYZQuat)
+      .value("XYZ_RPY", PoseText::kXYZRPY);
+  nb::enum_<InformationText>(m, "InformationText")
+      .value("UPPER", InformationText::kUpper)
+      .value("TORO_PLANAR", InformationText::kToroPlanar)
+      .value("SQUARE_ROOT", InformationText::kSquareRoot)
+      .value("COVARIANCE", InformationText::kCovariance);
+  nb::class_<Record>(m, "Record")
+      .def(nb::init<std::string, Kind, PoseText, InformationText, bool>(), "tag"_a, "kind"_a,
+           "pose"_a = PoseText::kXYTheta, "information"_a = InformationText::kUpper,
+           "information_optional"_a = false)
+      .def_ro("tag", &Record::tag)
+      .def_ro("kind", &Record::kind);
+  m.def("parse", &parse_text, "text"_a, "records"_a);
+  m.def("count_tags", &tags_of, "text"_a);
+  m.def("format_lines", &formatted, "tag"_a, "integers"_a, "values"_a);
+}

@@ -1,0 +1,82 @@
+// Initial guesses by one walk over the graph: along a tree, or MASAT.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "graph/topology.hpp"
+
+namespace masat {
+
+// Where `node` lies according to its neighbour at `pose`: z leads from the neighbour to the node
+// when `edge` >= 0, otherwise from the node to the neighbour.
+template <class Group>
+Group propose(const Group& pose, const Group& z, std::int32_t edge) {
+  return pose * (edge >= 0 ? z : z.inverse());
+}
+
+// Places each node of the tree from its parent. The poses of the roots are given.
+template <class Group>
+void place_along_tree(const Topology& graph, std::span<const TreeLink> links,
+                      const double* measurements, double* poses) {
+  std::vector<Group> placed(graph.nodes());
+  for (const TreeLink& link : links) {
+    double* const out = poses + std::int64_t{Group::kSize} * link.node;
+    if (link.edge < 0) {
+      placed[link.node] = Group::load(out);
+      continue;
+    }
+    const Group z = Group::load(measurements + std::int64_t{Group::kSize} * link.edge);
+    const bool forward = graph.edges()[link.edge].to == link.node;
+    placed[link.node] = propose(placed[link.parent], z, forward ? link.edge : ~link.edge);
+    placed[link.node].store(out);
+  }
+}
+
+// MASAT: breadth-first from the roots, each node once, at the average of the proposals of its
+// neighbours already placed. A neighbour that waits in the queue says nothing. The poses of the
+// roots are given.
+template <class Group>
+void place_by_masat(const Topology& graph, std::span<const std::int32_t> roots,
+                    const double* measurements, double* poses) {
+  enum State : char { kUnseen, kQueued, kPlaced };
+  const auto edges = static_cast<std::int64_t>(graph.edges().size());
+  std::vector<Group> z(edges), placed(graph.nodes());
+  for (std::int64_t k = 0; k < edges; ++k) z[k] = Group::load(measurements + Group::kSize * k);
+
+  std::vector<State> state(graph.nodes(), kUnseen);
+  std::vector<std::int32_t> queue;
+  queue.reserve(graph.nodes());
+  for (const std::int32_t root : roots) {
+    placed[root] = Group::load(poses + std::int64_t{Group::kSize} * root);
+    state[root] = kPlaced;
+    queue.push_back(root);
+  }
+  for (std::size_t head = 0; head < queue.size(); ++head) {
+    const std::int32_t node = queue[head];
+    const bool root = head < roots.size();
+    typename Group::Mean mean{Group{}};
+    bool any = false;
+    for (const Incidence& i : graph.incident(node)) {
+      if (state[i.node] == kUnseen) {
+        state[i.node] = kQueued;
+        queue.push_back(i.node);
+      } else if (!root && state[i.node] == kPlaced) {
+        const Group proposal = propose(placed[i.node], z[i.edge >= 0 ? i.edge : ~i.edge], i.edge);
+        if (any) {
+          mean.add(proposal);
+        } else {
+          mean = typename Group::Mean(proposal);
+          any = true;
+        }
+      }
+    }
+    if (root) continue;
+    placed[node] = mean.get();
+    placed[node].store(poses + std::int64_t{Group::kSize} * node);
+    state[node] = kPlaced;
+  }
+}
+
+}  // namespace masat

@@ -1,0 +1,94 @@
+// SE(2): planar poses, stored in arrays as (x, y, theta).
+#pragma once
+
+#include <Eigen/Core>
+#include <cmath>
+#include <numbers>
+
+namespace masat {
+
+// Angle in [-pi, pi), as g2o normalises it.
+inline double wrap_angle(double theta) {
+  constexpr double pi = std::numbers::pi, two_pi = 2 * pi;
+  if (theta >= -pi && theta < pi) return theta;
+  const double wrapped = theta - two_pi * std::floor((theta + pi) / two_pi);
+  return wrapped < pi ? wrapped : -pi;
+}
+
+struct SE2 {
+  static constexpr int kDof = 3;
+  static constexpr int kSize = 3;
+  using Tangent = Eigen::Matrix<double, kDof, 1>;
+  using Square = Eigen::Matrix<double, kDof, kDof>;
+
+  double x = 0, y = 0, theta = 0;
+  double c = 1, s = 0;  // of theta: one sine-cosine pair a pose, however often it is used
+
+  static SE2 load(const double* p) { return {p[0], p[1], p[2], std::cos(p[2]), std::sin(p[2])}; }
+  void store(double* p) const {
+    p[0] = x;
+    p[1] = y;
+    p[2] = wrap_angle(theta);
+  }
+
+  SE2 operator*(const SE2& b) const {
+    return {x + c * b.x - s * b.y, y + s * b.x + c * b.y, theta + b.theta, c * b.c - s * b.s,
+            s * b.c + c * b.s};
+  }
+  SE2 inverse() const { return {-c * x - s * y, s * x - c * y, -theta, c, -s}; }
+
+  // this * (dx, dy, dtheta)
+  static SE2 from_tangent(const double* d) { return load(d); }
+
+  class Mean;
+};
+
+// Average of poses: mean position; direction of the mean unit vector of the headings.
+class SE2::Mean {
+ public:
+  explicit Mean(const SE2& first) : sum_(first), first_(first) {}
+  void add(const SE2& p) {
+    sum_.x += p.x;
+    sum_.y += p.y;
+    sum_.c += p.c;
+    sum_.s += p.s;
+    ++count_;
+  }
+  SE2 get() const {
+    if (count_ == 1) return first_;
+    const double norm = std::hypot(sum_.c, sum_.s), k = 1.0 / count_;
+    // Headings that cancel have no mean: the first one stands.
+    if (norm == 0) return {sum_.x * k, sum_.y * k, first_.theta, first_.c, first_.s};
+    return {sum_.x * k, sum_.y * k, std::atan2(sum_.s, sum_.c), sum_.c / norm, sum_.s / norm};
+  }
+
+ private:
+  SE2 sum_, first_;
+  int count_ = 1;
+};
+
+// g2o's EDGE_SE2 error: (x, y, theta) of z^-1 (a^-1 b).
+inline SE2::Tangent error(const SE2& z, const SE2& a, const SE2& b) {
+  const double dx = b.x - a.x, dy = b.y - a.y;
+  const double u = a.c * dx + a.s * dy - z.x, v = a.c * dy - a.s * dx - z.y;
+  return {z.c * u + z.s * v, z.c * v - z.s * u, wrap_angle(b.theta - a.theta - z.theta)};
+}
+
+// The error and its derivatives with respect to a * da and b * db at da = db = 0.
+inline SE2::Tangent error(const SE2& z, const SE2& a, const SE2& b, SE2::Square& da,
+                          SE2::Square& db) {
+  const double dx = b.x - a.x, dy = b.y - a.y;
+  const double px = a.c * dx + a.s * dy, py = a.c * dy - a.s * dx;  // b seen from a
+  const double u = px - z.x, v = py - z.y;
+  da << -z.c, -z.s, z.c * py - z.s * px,  //
+      z.s, -z.c, -z.s * py - z.c * px,    //
+      0, 0, -1;
+  const double c = a.c * b.c + a.s * b.s, s = a.c * b.s - a.s * b.c;  // heading of b in a
+  const double ec = z.c * c + z.s * s, es = z.c * s - z.s * c;        // and in z
+  db << ec, -es, 0,                                                   //
+      es, ec, 0,                                                      //
+      0, 0, 1;
+  return {z.c * u + z.s * v, z.c * v - z.s * u, wrap_angle(b.theta - a.theta - z.theta)};
+}
+
+}  // namespace masat

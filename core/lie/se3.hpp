@@ -1,0 +1,117 @@
+// SE(3): spatial poses, stored in arrays as (x, y, z, qx, qy, qz, qw).
+#pragma once
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <cmath>
+
+namespace masat {
+
+struct SE3 {
+  static constexpr int kDof = 6;
+  static constexpr int kSize = 7;
+  using Tangent = Eigen::Matrix<double, kDof, 1>;
+  using Square = Eigen::Matrix<double, kDof, kDof>;
+
+  Eigen::Vector3d t = Eigen::Vector3d::Zero();
+  Eigen::Quaterniond q = Eigen::Quaterniond::Identity();
+
+  static SE3 load(const double* p) {
+    return {Eigen::Map<const Eigen::Vector3d>(p), Eigen::Quaterniond(p + 3)};
+  }
+  void store(double* p) const {
+    Eigen::Map<Eigen::Vector3d>{p} = t;
+    Eigen::Map<Eigen::Vector4d>{p + 3} = q.coeffs().normalized();
+  }
+
+  SE3 operator*(const SE3& b) const { return {t + q * b.t, q * b.q}; }
+  SE3 inverse() const { return {-(q.conjugate() * t), q.conjugate()}; }
+
+  // (translation, vector part of the unit quaternion), g2o's minimal parametrisation. A vector
+  // part longer than 1 belongs to no rotation: the half turn about it is the nearest.
+  static SE3 from_tangent(const double* d) {
+    Eigen::Vector3d v(d[3], d[4], d[5]);
+    const double squared = v.squaredNorm();
+    double w = 0;
+    if (squared < 1) {
+      w = std::sqrt(1 - squared);
+    } else {
+      v /= std::sqrt(squared);
+    }
+    return {Eigen::Map<const Eigen::Vector3d>(d), Eigen::Quaterniond(w, v.x(), v.y(), v.z())};
+  }
+
+  class Mean;
+};
+
+// Average of poses: mean position; mean of the unit quaternions, each with the sign that lies
+// nearer to the first one.
+class SE3::Mean {
+ public:
+  explicit Mean(const SE3& first) : sum_(first), first_(first.q) {}
+  void add(const SE3& p) {
+    sum_.t += p.t;
+    if (first_.dot(p.q) < 0) {
+      sum_.q.coeffs() -= p.q.coeffs();
+    } else {
+      sum_.q.coeffs() += p.q.coeffs();
+    }
+    ++count_;
+  }
+  // Each addend has a non-negative product with the first: the sum cannot vanish.
+  SE3 get() const { return {sum_.t / count_, sum_.q.normalized()}; }
+
+ private:
+  SE3 sum_;
+  Eigen::Quaterniond first_;
+  int count_ = 1;
+};
+
+namespace detail {
+inline Eigen::Quaterniond with_positive_w(const Eigen::Quaterniond& q) {
+  return q.w() < 0 ? Eigen::Quaterniond(-q.coeffs()) : q;
+}
+inline Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
+  Eigen::Matrix3d m;
+  m << 0, -v.z(), v.y(),  //
+      v.z(), 0, -v.x(),   //
+      -v.y(), v.x(), 0;
+  return m;
+}
+}  // namespace detail
+
+// g2o's EDGE_SE3:QUAT error: (translation, vector part of the quaternion with w >= 0) of
+// z^-1 (a^-1 b).
+inline SE3::Tangent error(const SE3& z, const SE3& a, const SE3& b) {
+  SE3::Tangent e;
+  e.head<3>() = z.q.conjugate() * (a.q.conjugate() * (b.t - a.t) - z.t);
+  e.tail<3>() = detail::with_positive_w(z.q.conjugate() * (a.q.conjugate() * b.q)).vec();
+  return e;
+}
+
+// The error and its derivatives with respect to a * da and b * db at da = db = 0.
+inline SE3::Tangent error(const SE3& z, const SE3& a, const SE3& b, SE3::Square& da,
+                          SE3::Square& db) {
+  const Eigen::Matrix3d zt = z.q.conjugate().toRotationMatrix();
+  const Eigen::Quaterniond ab = a.q.conjugate() * b.q;
+  const Eigen::Vector3d p = a.q.conjugate() * (b.t - a.t);  // b seen from a
+  const Eigen::Quaterniond r = detail::with_positive_w(z.q.conjugate() * ab);
+  const Eigen::Matrix3d cross = detail::cross_matrix(r.vec());
+  const Eigen::Matrix3d w = r.w() * Eigen::Matrix3d::Identity();
+
+  da.topLeftCorner<3, 3>() = -zt;
+  da.topRightCorner<3, 3>().noalias() = 2 * zt * detail::cross_matrix(p);
+  da.bottomLeftCorner<3, 3>().setZero();
+  da.bottomRightCorner<3, 3>().noalias() = (cross - w) * zt;
+  db.topLeftCorner<3, 3>() = r.toRotationMatrix();
+  db.topRightCorner<3, 3>().setZero();
+  db.bottomLeftCorner<3, 3>().setZero();
+  db.bottomRightCorner<3, 3>() = w + cross;
+
+  SE3::Tangent e;
+  e.head<3>().noalias() = zt * (p - z.t);
+  e.tail<3>() = r.vec();
+  return e;
+}
+
+}  // namespace masat

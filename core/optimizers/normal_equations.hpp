@@ -1,0 +1,210 @@
+// The Gauss-Newton system of a pose graph: H step = -gradient / 2, H = sum J' W J over the edges.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "graph/topology.hpp"
+#include "sparse/block_cholesky.hpp"
+
+namespace masat {
+
+// What the optimisers see, whatever the group. Poses are flat arrays of all nodes, steps and
+// gradients flat arrays of the free ones; chi2 is the sum of e' W e, without a factor 1/2.
+class NormalEquations {
+ public:
+  virtual ~NormalEquations() = default;
+  virtual int dof() const = 0;
+  virtual int pose_size() const = 0;
+  virtual std::int32_t nodes() const = 0;
+  virtual std::int64_t edges() const = 0;
+  virtual std::span<const std::int32_t> free_nodes() const = 0;
+
+  virtual double chi2(const double* poses) = 0;
+  virtual void edge_chi2(const double* poses, double* out) = 0;
+  // Sets H and the gradient's negative half at `poses`; returns chi2 there.
+  virtual double linearize(const double* poses) = 0;
+  virtual std::span<const double> rhs() const = 0;
+  virtual void diagonal(double* out) const = 0;
+  // Factorises H plus a diagonal; returns -1, or the node at which it is not positive definite.
+  virtual std::int32_t factorize(std::span<const double> damping) = 0;
+  virtual void solve(double* step) const = 0;
+  virtual void retract(const double* poses, const double* step, double* out) const = 0;
+  virtual std::int64_t fill() const = 0;
+};
+
+template <class Group>
+class NormalEquationsOf final : public NormalEquations {
+ public:
+  static constexpr int kDof = Group::kDof, kSize = Group::kSize, kBlock = kDof * kDof;
+  using Square = typename Group::Square;
+  using Tangent = typename Group::Tangent;
+
+  // `fixed` nodes keep their poses and have no place in the system.
+  NormalEquationsOf(const Topology& graph, const double* measurements, const double* information,
+                    std::span<const bool> fixed)
+      : edges_(graph.edges()), free_of_(graph.nodes(), -1), poses_(graph.nodes()) {
+    for (std::int32_t node = 0; node < graph.nodes(); ++node) {
+      if (fixed[node]) continue;
+      free_of_[node] = static_cast<std::int32_t>(free_.size());
+      free_.push_back(node);
+    }
+    const auto m = static_cast<std::int64_t>(edges_.size());
+    z_.reserve(m);
+    information_.reserve(m);
+    for (std::int64_t k = 0; k < m; ++k) {
+      z_.push_back(Group::load(measurements + k * kSize));
+      information_.push_back(Eigen::Map<const Square>(information + k * kBlock));
+    }
+    find_pattern(graph);
+    values_.resize(pattern_.row.size() * kBlock);
+    rhs_.resize(free_.size() * kDof);
+    cholesky_ = std::make_unique<BlockCholesky>(pattern_, kDof);
+  }
+
+  int dof() const override { return kDof; }
+  int pose_size() const override { return kSize; }
+  std::int32_t nodes() const override { return static_cast<std::int32_t>(free_of_.size()); }
+  std::int64_t edges() const override { return static_cast<std::int64_t>(edges_.size()); }
+  std::span<const std::int32_t> free_nodes() const override { return free_; }
+  std::span<const double> rhs() const override { return rhs_; }
+  std::int64_t fill() const override { return cholesky_->fill(); }
+
+  double chi2(const double* poses) override {
+    load(poses);
+    double sum = 0;
+    for (std::size_t k = 0; k < edges_.size(); ++k) sum += edge_cost(k);
+    return sum;
+  }
+
+  void edge_chi2(const double* poses, double* out) override {
+    load(poses);
+    for (std::size_t k = 0; k < edges_.size(); ++k) out[k] = edge_cost(k);
+  }
+
+  double linearize(const double* poses) override {
+    load(poses);
+    std::fill(values_.begin(), values_.end(), 0.0);
+    std::fill(rhs_.begin(), rhs_.end(), 0.0);
+    double sum = 0;
+    for (std::size_t k = 0; k < edges_.size(); ++k) {
+      const Edge& edge = edges_[k];
+      const std::int32_t a = free_of_[edge.from], b = free_of_[edge.to];
+      Square ja, jb;
+      const Tangent e = error(z_[k], poses_[edge.from], poses_[edge.to], ja, jb);
+      const Tangent we = information_[k] * e;
+      sum += e.dot(we);
+      if (a >= 0) {
+        const Square wja = information_[k] * ja;
+        block(pattern_.start[a]).noalias() += ja.transpose() * wja;
+        segment(a).noalias() -= ja.transpose() * we;
+        if (b >= 0) {
+          if (a < b) {
+            block(joint_[k]).noalias() += jb.transpose() * wja;
+          } else {
+            block(joint_[k]).noalias() += wja.transpose() * jb;
+          }
+        }
+      }
+      if (b >= 0) {
+        block(pattern_.start[b]).noalias() += jb.transpose() * (information_[k] * jb);
+        segment(b).noalias() -= jb.transpose() * we;
+      }
+    }
+    return sum;
+  }
+
+  void diagonal(double* out) const override {
+    for (std::size_t c = 0; c < free_.size(); ++c) {
+      const double* const values = values_.data() + pattern_.start[c] * kBlock;
+      for (int i = 0; i < kDof; ++i) *out++ = values[i * (kDof + 1)];
+    }
+  }
+
+  std::int32_t factorize(std::span<const double> damping) override {
+    const std::int32_t broken = cholesky_->factorize(values_, damping);
+    return broken < 0 ? -1 : free_[broken];
+  }
+
+  void solve(double* step) const override {
+    std::copy(rhs_.begin(), rhs_.end(), step);
+    cholesky_->solve({step, rhs_.size()});
+  }
+
+  void retract(const double* poses, const double* step, double* out) const override {
+    for (std::int32_t node = 0; node < nodes(); ++node) {
+      const double* const from = poses + std::int64_t{kSize} * node;
+      double* const to = out + std::int64_t{kSize} * node;
+      const std::int32_t f = free_of_[node];
+      if (f < 0) {
+        std::copy(from, from + kSize, to);
+      } else {
+        (Group::load(from) * Group::from_tangent(step + std::int64_t{kDof} * f)).store(to);
+      }
+    }
+  }
+
+ private:
+  Eigen::Map<Square> block(std::int64_t k) { return Eigen::Map<Square>(&values_[k * kBlock]); }
+  Eigen::Map<Tangent> segment(std::int32_t f) {
+    return Eigen::Map<Tangent>(&rhs_[std::int64_t{kDof} * f]);
+  }
+
+  void load(const double* poses) {
+    for (std::size_t node = 0; node < poses_.size(); ++node) {
+      poses_[node] = Group::load(poses + kSize * node);
+    }
+  }
+
+  double edge_cost(std::size_t k) const {
+    const Tangent e = error(z_[k], poses_[edges_[k].from], poses_[edges_[k].to]);
+    return e.dot(information_[k] * e);
+  }
+
+  // A block for each free node and each pair of free nodes that edges join.
+  void find_pattern(const Topology& graph) {
+    const auto columns = static_cast<std::int32_t>(free_.size());
+    std::vector<std::int64_t> slot(columns, -1);  // of each row, in the column at work
+    joint_.assign(edges_.size(), -1);
+    pattern_.start.reserve(columns + 1);
+    pattern_.row.reserve(columns + edges_.size());
+    std::vector<std::int32_t> rows;
+    for (std::int32_t c = 0; c < columns; ++c) {
+      const auto begin = static_cast<std::int64_t>(pattern_.row.size());
+      pattern_.start.push_back(begin);
+      pattern_.row.push_back(c);
+      rows.clear();
+      for (const Incidence& i : graph.incident(free_[c])) {
+        const std::int32_t r = free_of_[i.node];
+        if (r > c && slot[r] < begin) {
+          slot[r] = begin;
+          rows.push_back(r);
+        }
+      }
+      std::sort(rows.begin(), rows.end());
+      for (std::size_t k = 0; k < rows.size(); ++k) {
+        slot[rows[k]] = begin + 1 + static_cast<std::int64_t>(k);
+      }
+      pattern_.row.insert(pattern_.row.end(), rows.begin(), rows.end());
+      for (const Incidence& i : graph.incident(free_[c])) {
+        const std::int32_t r = free_of_[i.node];
+        if (r > c) joint_[i.edge < 0 ? ~i.edge : i.edge] = slot[r];
+      }
+    }
+    pattern_.start.push_back(static_cast<std::int64_t>(pattern_.row.size()));
+  }
+
+  std::vector<Edge> edges_;
+  std::vector<Group> z_;
+  std::vector<Square> information_;
+  std::vector<std::int32_t> free_, free_of_;  // the free nodes; each node's place there or -1
+  std::vector<Group> poses_;
+  BlockPattern pattern_;
+  std::vector<std::int64_t> joint_;  // the block of each edge's pair of nodes
+  std::vector<double> values_, rhs_;
+  std::unique_ptr<BlockCholesky> cholesky_;
+};
+
+}  // namespace masat

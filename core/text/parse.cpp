@@ -1,0 +1,321 @@
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <Eigen/LU>
+#include <array>
+#include <charconv>
+#include <cmath>
+#include <cstring>
+#include <unordered_map>
+
+#include "text/records.hpp"
+
+namespace masat {
+namespace {
+
+constexpr bool is_space(char c) { return c == ' ' || c == '\t' || c == '\r'; }
+constexpr bool starts_number(char c) {
+  return (c >= '0' && c <= '9') || c == '-' || c == '+' || c == '.';
+}
+
+// The blank-separated words of one line, up to a comment.
+class Line {
+ public:
+  Line(std::string_view text, std::int64_t number)
+      : at_(text.data()), end_(text.data() + text.size()), number_(number) {
+    skip_blanks();
+  }
+
+  bool done() const { return at_ == end_; }
+  char peek() const { return *at_; }
+  std::int64_t number() const { return number_; }
+
+  std::string_view word() {
+    const char* const begin = at_;
+    while (at_ != end_ && !is_space(*at_)) ++at_;
+    const std::string_view w(begin, at_ - begin);
+    skip_blanks();
+    return w;
+  }
+
+  // The next word as a number of type T; false, and nothing consumed, if it is none.
+  template <class T>
+  std::from_chars_result try_number(T& value) {
+    const char* begin = at_;
+    if (begin != end_ && *begin == '+') ++begin;  // from_chars knows no plus sign
+    auto result = std::from_chars(begin, end_, value);
+    if (result.ptr != end_ && !is_space(*result.ptr) && *result.ptr != '#') {
+      result.ec = std::errc::invalid_argument;
+    }
+    if (result.ec == std::errc{}) {
+      at_ = result.ptr;
+      skip_blanks();
+    }
+    return result;
+  }
+
+  [[noreturn]] void fail(const std::string& what) const { throw ParseError(number_, what); }
+
+ private:
+  void skip_blanks() {
+    while (at_ != end_ && is_space(*at_)) ++at_;
+    if (at_ != end_ && *at_ == '#') at_ = end_;
+  }
+
+  const char* at_;
+  const char* end_;
+  std::int64_t number_;
+};
+
+template <class Visit>
+void for_each_line(std::string_view text, Visit visit) {
+  if (text.starts_with("\xEF\xBB\xBF")) text.remove_prefix(3);  // byte order mark
+  std::int64_t number = 0;
+  while (!text.empty()) {
+    const std::size_t end = text.find('\n');
+    Line line(text.substr(0, end), ++number);
+    if (!line.done()) visit(line);
+    if (end == std::string_view::npos) break;
+    text.remove_prefix(end + 1);
+  }
+}
+
+std::string quoted(std::string_view word) {
+  std::string out = "'";
+  for (const char c : word.substr(0, 40)) out += (c >= ' ' && c <= '~') ? c : '?';
+  return out + (word.size() > 40 ? "...'" : "'");
+}
+
+constexpr int dof_of(int dimension) { return dimension == 2 ? 3 : 6; }
+constexpr int dimension_of(PoseText pose) { return pose == PoseText::kXYTheta ? 2 : 3; }
+constexpr int width_of(PoseText pose) {
+  return pose == PoseText::kXYTheta ? 3 : pose == PoseText::kXYZRPY ? 6 : 7;
+}
+constexpr const char* words_of(PoseText pose) {
+  switch (pose) {
+    case PoseText::kXYTheta:
+      return "x y theta";
+    case PoseText::kXYZRPY:
+      return "x y z roll pitch yaw";
+    default:
+      return "x y z qx qy qz qw";
+  }
+}
+
+class Parser {
+ public:
+  explicit Parser(const std::vector<Record>& records) : records_(records) {}
+
+  void read(Line& line) {
+    const Record* const record = find(line);
+    if (record == nullptr) return;
+    switch (record->kind) {
+      case Kind::kVertex:
+        out_.vertex_ids.push_back(integer(line, *record));
+        [[fallthrough]];
+      case Kind::kPose:
+        if (record->kind == Kind::kPose) {
+          out_.vertex_ids.push_back(static_cast<std::int64_t>(out_.vertex_ids.size()));
+        }
+        out_.vertex_lines.push_back(line.number());
+        numbers(line, *record, width_of(record->pose));
+        end_of(line, *record);
+        pose(line, *record, out_.vertex_poses);
+        return;
+      case Kind::kEdge:
+        return edge(line, *record);
+      case Kind::kFix:
+        do {
+          out_.fixed_ids.push_back(integer(line, *record));
+          out_.fixed_lines.push_back(line.number());
+        } while (!line.done());
+        return;
+    }
+  }
+
+  ParsedGraph take() { return std::move(out_); }
+
+ private:
+  // The record of the line's tag, the tag consumed; null, and counted, if the table has none.
+  const Record* find(Line& line) {
+    const bool untagged = starts_number(line.peek());
+    const std::string_view tag = untagged ? std::string_view{} : line.word();
+    if (last_ != nullptr && last_->tag == tag) return last_;
+    for (const Record& record : records_) {
+      if (record.tag == tag) return last_ = &record;
+    }
+    if (untagged) line.fail("expected a tag, found " + quoted(line.word()));
+    const auto [place, added] = unknown_.try_emplace(std::string(tag), out_.unknown.size());
+    if (added) out_.unknown.push_back({std::string(tag), 0, line.number()});
+    ++out_.unknown[place->second].count;
+    return nullptr;
+  }
+
+  [[noreturn]] static void fail(Line& line, const Record& record, const std::string& found) {
+    std::string expected;
+    const int dimension = dimension_of(record.pose), dof = dof_of(dimension);
+    if (record.kind == Kind::kVertex) expected = "id ";
+    if (record.kind == Kind::kEdge) expected = "from to ";
+    expected += record.kind == Kind::kFix ? "id" : words_of(record.pose);
+    if (record.kind == Kind::kEdge) {
+      const bool full = record.information == InformationText::kCovariance;
+      expected += " + " + std::to_string(full ? dof * dof : dof * (dof + 1) / 2) +
+                  (full ? " covariance" : " information") + " numbers";
+      if (record.information_optional) expected += " (or none)";
+    }
+    line.fail((record.tag.empty() ? "a line" : record.tag) + " takes: " + expected + "; " + found);
+  }
+
+  static std::int64_t integer(Line& line, const Record& record) {
+    if (line.done()) fail(line, record, "the line ends before the id");
+    std::int64_t value = 0;
+    const auto result = line.try_number(value);
+    if (result.ec == std::errc::result_out_of_range) {
+      line.fail("the id " + quoted(line.word()) + " does not fit in 64 bits");
+    }
+    if (result.ec != std::errc{}) {
+      fail(line, record, "found " + quoted(line.word()) + " where an integer id belongs");
+    }
+    return value;
+  }
+
+  // Reads `count` numbers into values_.
+  void numbers(Line& line, const Record& record, int count) {
+    for (int k = 0; k < count; ++k) {
+      if (line.done()) {
+        fail(line, record,
+             "the line ends after " + std::to_string(k) + " of " + std::to_string(count) +
+                 " numbers");
+      }
+      const auto result = line.try_number(values_[k]);
+      if (result.ec == std::errc::result_out_of_range) {
+        // Below the smallest double is zero; above the largest is no measurement.
+        const std::string word(line.word());
+        values_[k] = std::strtod(word.c_str(), nullptr);
+        if (!std::isfinite(values_[k])) line.fail(quoted(word) + " is too large a number");
+      } else if (result.ec != std::errc{}) {
+        fail(line, record, "found " + quoted(line.word()) + " where a number belongs");
+      } else if (!std::isfinite(values_[k])) {
+        line.fail("found a number that is not finite (nan or inf)");
+      }
+    }
+  }
+
+  static void end_of(Line& line, const Record& record) {
+    if (!line.done()) fail(line, record, "found " + quoted(line.word()) + " after the last number");
+  }
+
+  // Appends the pose in values_.
+  void pose(const Line& line, const Record& record, std::vector<double>& to) {
+    const int dimension = dimension_of(record.pose);
+    if (out_.dimension == 0) out_.dimension = dimension;
+    if (out_.dimension != dimension) {
+      line.fail(record.tag + " is " + std::to_string(dimension) + "D, the lines before are " +
+                std::to_string(out_.dimension) + "D: a graph is one or the other");
+    }
+    const double* const v = values_.data();
+    if (record.pose == PoseText::kXYZRPY) {
+      using Eigen::AngleAxisd, Eigen::Vector3d;
+      const Eigen::Quaterniond q(AngleAxisd(v[5], Vector3d::UnitZ()) *
+                                 AngleAxisd(v[4], Vector3d::UnitY()) *
+                                 AngleAxisd(v[3], Vector3d::UnitX()));
+      to.insert(to.end(), {v[0], v[1], v[2], q.x(), q.y(), q.z(), q.w()});
+      return;
+    }
+    if (record.pose == PoseText::kXYZQuat && v[3] == 0 && v[4] == 0 && v[5] == 0 && v[6] == 0) {
+      line.fail("the quaternion is zero: no rotation; expected qx qy qz qw of unit length");
+    }
+    to.insert(to.end(), v, v + width_of(record.pose));
+  }
+
+  void edge(Line& line, const Record& record) {
+    const std::int64_t from = integer(line, record), to = integer(line, record);
+    if (from == to) {
+      line.fail("the edge joins vertex " + std::to_string(from) +
+                " to itself; expected two different vertices");
+    }
+    out_.edge_ids.insert(out_.edge_ids.end(), {from, to});
+    out_.edge_lines.push_back(line.number());
+    numbers(line, record, width_of(record.pose));
+    pose(line, record, out_.measurements);
+    if (record.pose == PoseText::kXYTheta) {
+      information<3>(line, record);
+    } else {
+      information<6>(line, record);
+    }
+    end_of(line, record);
+  }
+
+  template <int Dof>
+  void information(Line& line, const Record& record) {
+    using Matrix = Eigen::Matrix<double, Dof, Dof, Eigen::RowMajor>;
+    Matrix m = Matrix::Zero();
+    if (record.information_optional && line.done()) {
+      ++out_.edges_without_information;
+      m.setIdentity();
+    } else if (record.information == InformationText::kCovariance) {
+      numbers(line, record, Dof * Dof);
+      const Matrix covariance = Eigen::Map<const Matrix>(values_.data());
+      m = covariance.inverse();
+      if (!m.allFinite()) line.fail("the covariance matrix is singular");
+      m = (0.5 * (m + m.transpose())).eval();
+    } else {
+      numbers(line, record, Dof * (Dof + 1) / 2);
+      const double* v = values_.data();
+      for (int r = 0; r < Dof; ++r) {
+        for (int c = r; c < Dof; ++c) m(r, c) = *v++;
+      }
+      if (record.information == InformationText::kToroPlanar) {
+        v = values_.data();
+        m(0, 0) = v[0], m(0, 1) = v[1], m(1, 1) = v[2];
+        m(2, 2) = v[3], m(0, 2) = v[4], m(1, 2) = v[5];
+      }
+      if (record.information == InformationText::kSquareRoot) m = (m.transpose() * m).eval();
+      m.template triangularView<Eigen::StrictlyLower>() = m.transpose();
+      if (!m.allFinite()) line.fail("the information matrix overflows");
+    }
+    // Angles are twice the vector part of the quaternion, to first order.
+    if (record.pose == PoseText::kXYZRPY) {
+      m.template bottomRows<3>() *= 2;
+      m.template rightCols<3>() *= 2;
+    }
+    out_.information.insert(out_.information.end(), m.data(), m.data() + Dof * Dof);
+  }
+
+  const std::vector<Record>& records_;
+  const Record* last_ = nullptr;
+  std::unordered_map<std::string, std::size_t> unknown_;
+  std::array<double, 36> values_{};
+  ParsedGraph out_;
+};
+
+}  // namespace
+
+ParsedGraph parse(std::string_view text, const std::vector<Record>& records) {
+  Parser parser(records);
+  for_each_line(text, [&](Line& line) { parser.read(line); });
+  return parser.take();
+}
+
+std::vector<std::pair<std::string, std::int64_t>> count_tags(std::string_view text) {
+  std::vector<std::pair<std::string, std::int64_t>> counts;
+  std::unordered_map<std::string, std::size_t> index;
+  std::string tag;
+  std::size_t last = 0;
+  for_each_line(text, [&](Line& line) {
+    if (starts_number(line.peek())) {
+      int columns = 0;
+      for (; !line.done(); ++columns) line.word();
+      tag = std::to_string(columns) + " columns";
+    } else {
+      tag = line.word();
+    }
+    if (last == counts.size() || counts[last].first != tag) {
+      last = index.try_emplace(tag, counts.size()).first->second;
+      if (last == counts.size()) counts.emplace_back(tag, 0);
+    }
+    ++counts[last].second;
+  });
+  return counts;
+}
+
+}  // namespace masat

@@ -1,0 +1,70 @@
+// Line-oriented pose-graph text: a format is a table of records, one a tag.
+#pragma once
+
+#include <cstdint>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+namespace masat {
+
+enum class Kind { kVertex, kEdge, kFix, kPose };  // kPose: a vertex without an id
+
+enum class PoseText {
+  kXYTheta,  // x y theta
+  kXYZQuat,  // x y z qx qy qz qw
+  kXYZRPY,   // x y z roll pitch yaw; its information is in these angles
+};
+
+enum class InformationText {
+  kUpper,       // upper triangle, row by row
+  kToroPlanar,  // xx xy yy tt xt yt
+  kSquareRoot,  // upper triangular R with information R'R, row by row
+  kCovariance,  // full covariance, row by row
+};
+
+struct Record {
+  std::string tag;  // empty: the lines begin with a number
+  Kind kind;
+  PoseText pose;
+  InformationText information;
+  bool information_optional;
+};
+
+struct ParseError : std::runtime_error {
+  ParseError(std::int64_t line_number, const std::string& what)
+      : std::runtime_error(what), line(line_number) {}
+  std::int64_t line;
+};
+
+struct UnknownTag {
+  std::string tag;
+  std::int64_t count, first_line;
+};
+
+// All that a text holds, as flat arrays; `*_lines` are the line numbers, from 1.
+struct ParsedGraph {
+  int dimension = 0;  // 0: no record gave it
+  std::vector<std::int64_t> vertex_ids, vertex_lines;
+  std::vector<double> vertex_poses;
+  std::vector<std::int64_t> edge_ids, edge_lines;  // (from, to) pairs
+  std::vector<double> measurements, information;
+  std::vector<std::int64_t> fixed_ids, fixed_lines;
+  std::vector<UnknownTag> unknown;
+  std::int64_t edges_without_information = 0;
+};
+
+// Throws ParseError.
+ParsedGraph parse(std::string_view text, const std::vector<Record>& records);
+
+// How many lines begin with each tag; lines that begin with a number count as "N columns".
+std::vector<std::pair<std::string, std::int64_t>> count_tags(std::string_view text);
+
+// One line a row: tag, integers, shortest decimals that read back as the same doubles.
+std::string format_lines(std::string_view tag, const std::int64_t* integers,
+                         std::int64_t integer_columns, const double* values,
+                         std::int64_t value_columns, std::int64_t rows);
+
+}  // namespace masat

@@ -1,0 +1,33 @@
+"""Pose-graph SLAM without a guess: read, diagnose, initialise, optimise, plot."""
+
+from masat.errors import (
+    FormatError,
+    GraphError,
+    InformationError,
+    InitializationError,
+    MasatError,
+    MasatWarning,
+    OptimizationError,
+)
+from masat.formats import read, write
+from masat.graph import PoseGraph
+from masat.initializers import initialize
+from masat.optimizers import Iteration, Result, StopReason, optimize
+
+__all__ = [
+    "FormatError",
+    "GraphError",
+    "InformationError",
+    "InitializationError",
+    "Iteration",
+    "MasatError",
+    "MasatWarning",
+    "OptimizationError",
+    "PoseGraph",
+    "Result",
+    "StopReason",
+    "initialize",
+    "optimize",
+    "read",
+    "write",
+]

@@ -1,0 +1,8 @@
+"""Reading and writing pose graphs; a format is one file here and one line of `FORMATS`."""
+
+from __future__ import annotations
+
+from masat.formats import g2o, isam, toro, untagged
+from masat.formats.reading import read
+from masat.formats.registry import FORMATS
+from masat.formats.writing import write

@@ -1,0 +1,46 @@
+"""The format of g2o: VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX.
+
+Information is the upper triangle, row by row, in the order of the error: x, y, theta, or
+translation and vector part of the quaternion. Kuemmerle et al., g2o: a general framework for graph
+optimization, ICRA 2011.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from masat._core import format_lines
+from masat.formats.table import Format, Kind, PoseText, Record
+from masat.graph import PoseGraph
+
+_TAGS = {2: ("VERTEX_SE2", "EDGE_SE2"), 3: ("VERTEX_SE3:QUAT", "EDGE_SE3:QUAT")}
+
+
+def format_graph(graph: PoseGraph) -> bytes:
+    """Return the graph as g2o text; its numbers read back as the same doubles."""
+    vertex, edge = _TAGS[graph.dimension]
+    upper = np.triu_indices(graph.dof)
+    values = np.hstack([graph.measurements, graph.information[:, upper[0], upper[1]]])
+    none = np.empty((len(graph.fixed), 0))
+    vertices = b""
+    if graph.poses is not None:
+        vertices = format_lines(vertex, graph.ids[:, None], graph.poses)
+    return (
+        vertices
+        + format_lines("FIX", graph.fixed[:, None], none)
+        + format_lines(edge, graph.edges, np.ascontiguousarray(values))
+    )
+
+
+FORMAT = Format(
+    name="g2o",
+    summary="g2o: VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX",
+    records=(
+        Record("EDGE_SE2", Kind.EDGE),
+        Record("VERTEX_SE2", Kind.VERTEX),
+        Record("EDGE_SE3:QUAT", Kind.EDGE, PoseText.XYZ_QUATERNION, information_optional=True),
+        Record("VERTEX_SE3:QUAT", Kind.VERTEX, PoseText.XYZ_QUATERNION),
+        Record("FIX", Kind.FIX),
+    ),
+    format_graph=format_graph,
+)

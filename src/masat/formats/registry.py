@@ -1,0 +1,43 @@
+"""The formats, and the one place that recognises them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from masat import _core
+from masat.errors import FormatError
+from masat.formats import g2o, isam, toro, untagged
+from masat.formats.table import Format
+
+# Where two formats know equally many lines of a file, the earlier one is taken: a TORO file with
+# EDGE2 has its VERTEX2 lines too, so EDGE2 alone is iSAM's.
+FORMATS: dict[str, Format] = {
+    f.name: f
+    for f in (g2o.FORMAT, isam.FORMAT, toro.FORMAT, untagged.TRAJECTORY, untagged.EDGE_LIST)
+}
+
+
+def recognise(text: bytes, path: Path) -> tuple[Format, list[str]]:
+    """Return the format that knows most lines of a text, and the names of its rivals.
+
+    Raises
+    ------
+    FormatError
+        If no format knows any line, or the text is not text.
+    """
+    if b"\0" in text[:4096]:
+        raise FormatError("a binary file, expected the text of a pose graph", path)
+    counts = _core.count_tags(text)
+    if not counts:
+        raise FormatError("the file is empty, expected the lines of a pose graph", path)
+    known = {name: sum(counts.get(tag, 0) for tag in form.tags()) for name, form in FORMATS.items()}
+    most = max(known.values())
+    if most == 0:
+        seen = ", ".join(tag.decode("ascii", "replace")[:30] for tag in list(counts)[:5])
+        raise FormatError(
+            f"no line of a pose graph found; its lines begin with: {seen}; known formats: "
+            + ", ".join(FORMATS),
+            path,
+        )
+    best, *rivals = [name for name, count in known.items() if count == most]
+    return FORMATS[best], rivals

@@ -1,0 +1,20 @@
+"""Multi-Ancestor Spatial Approximation Tree (MASAT)."""
+
+from __future__ import annotations
+
+from masat import _core
+from masat.graph import PoseGraph
+from masat.initializers.roots import roots_of
+
+
+def masat(graph: PoseGraph, root: int | None = None) -> PoseGraph:
+    """Place each node, breadth-first, at the average of what its placed neighbours say.
+
+    Positions are averaged as vectors, headings as unit vectors, 3D rotations as unit quaternions of
+    like sign; proposals weigh the same, information plays no part. One pass over the edges: linear
+    time, whatever the noise. Source: Hars, Multi-Ancestor Spatial Approximation Tree (MASAT), the
+    algorithm of its section 3.
+    """
+    roots, poses, notes = roots_of(graph, root)
+    placed = _core.place_by_masat(graph.topology, roots, graph.measurements, poses)
+    return graph.with_poses(placed, notes=notes)

@@ -1,0 +1,49 @@
+"""Where a walk over the graph begins: one root a component, or the fixed nodes."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masat import lie
+from masat.errors import InitializationError
+from masat.graph import PoseGraph
+
+Floats: TypeAlias = NDArray[np.float64]
+
+
+def roots_of(graph: PoseGraph, root: int | None) -> tuple[NDArray[np.int32], Floats, list[str]]:
+    """Return the roots' indices, poses with the roots placed, and what to tell the user.
+
+    A component begins at its fixed nodes, at their poses; without such, at `root` if that lies in
+    it, or else at its smallest id. A root whose pose nobody fixed lies at the identity.
+    """
+    anchors = graph.anchors()
+    if root is not None:
+        place = graph.index(root)
+        components = graph.components
+        component = components[place]
+        if np.any(components[graph.index(graph.fixed)] == component):
+            if root not in graph.fixed:
+                raise InitializationError(
+                    f"the root {root} is not fixed but its component holds fixed nodes, which "
+                    "keep their poses: leave the root out, or name one of them"
+                )
+        else:
+            anchors = np.union1d(anchors[components[graph.index(anchors)] != component], [root])
+    poses = np.tile(lie.identity(graph.dimension), (len(graph.ids), 1))
+    places = graph.index(anchors)
+    if graph.poses is not None:
+        held = graph.index(graph.fixed)
+        poses[held] = graph.poses[held]
+    notes = []
+    count = int(graph.components.max()) + 1
+    if count > 1:
+        shown = ", ".join(str(a) for a in anchors[:5]) + (", ..." if len(anchors) > 5 else "")
+        notes.append(
+            f"the graph has {count} components, each placed in a frame of its own, from the roots "
+            f"{shown}: nothing measures how they lie to each other"
+        )
+    return places.astype(np.int32), poses, notes

@@ -1,0 +1,57 @@
+"""A graph's normal equations, and what can be said of them beforehand and when they break."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masat import _core
+from masat.errors import OptimizationError
+from masat.graph import PoseGraph
+
+_EPSILON = float(np.finfo(np.float64).eps)
+
+
+def normal_equations(graph: PoseGraph, anchors: NDArray[np.int64]) -> _core.NormalEquations:
+    """Analyse the system of a graph in which the anchors hold still."""
+    held = np.zeros(len(graph.ids), np.bool_)
+    held[graph.index(anchors)] = True
+    return _core.NormalEquations(graph.topology, graph.measurements, graph.information, held)
+
+
+def edge_chi2(graph: PoseGraph) -> NDArray[np.float64]:
+    """Return e' W e of each edge at the poses of the graph, (m,)."""
+    if graph.poses is None:
+        raise OptimizationError("the graph has no poses: give it some with masat.initialize")
+    everything = np.ones(len(graph.ids), np.bool_)
+    equations = _core.NormalEquations(
+        graph.topology, graph.measurements, graph.information, everything
+    )
+    return equations.edge_chi2(graph.poses)
+
+
+def rounding_level(graph: PoseGraph) -> float:
+    """Return the chi2 that the rounding of coordinates alone makes.
+
+    A coordinate is known to half a unit in the last place of the largest one; an angle to that
+    of 1.
+    """
+    if graph.poses is None or len(graph.edges) == 0:
+        return 0.0
+    d = graph.dimension
+    reach = max(1.0, float(np.abs(graph.poses[:, :d]).max()))
+    diagonal = np.einsum("kii->i", graph.information)
+    return float(_EPSILON**2 * (reach**2 * diagonal[:d].sum() + diagonal[d:].sum()))
+
+
+def why_singular(graph: PoseGraph, node: int) -> str:
+    """Say which node a singular system leaves open, and what its edges hold."""
+    touching = (graph.edge_indices == node).any(axis=1)
+    spectrum = np.linalg.eigvalsh(graph.information[touching])
+    component = int(np.count_nonzero(graph.components == graph.components[node]))
+    return (
+        f"the edges around node {graph.ids[node]} (component of {component} nodes) do not "
+        f"determine its pose: information from {spectrum.min():.3g} to {spectrum.max():.3g} on "
+        f"its {np.count_nonzero(touching)} edges; if a rotation error is half a turn, start "
+        "elsewhere; else use Levenberg-Marquardt"
+    )

@@ -1,0 +1,162 @@
+"""What an optimisation returns, and how it is kept."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from masat.errors import FormatError, MasatError
+from masat.files import write_atomically
+from masat.graph import PoseGraph
+from masat.optimizers.termination import Iteration, StopReason
+
+Floats: TypeAlias = NDArray[np.float64]
+
+_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """The outcome of `masat.optimize`.
+
+    Attributes
+    ----------
+    graph : PoseGraph
+        The graph at the best poses met.
+    method : str
+        The optimiser.
+    reason : StopReason
+        Why it stopped.
+    message : str
+        The same in a sentence, with what to do if it did not converge.
+    initial_chi2, chi2 : float
+        Sum over the edges of e' W e, without a factor 1/2, at the start and at `poses`.
+    history : tuple of Iteration
+        chi2, step length, damping and time of each iteration.
+    anchors : ndarray of int64
+        Ids of the nodes that held still: the fixed ones, and one of each free component.
+    seconds : float
+        Wall time, the analysis of the graph included.
+    """
+
+    graph: PoseGraph
+    method: str
+    reason: StopReason
+    message: str
+    initial_chi2: float
+    chi2: float
+    history: tuple[Iteration, ...]
+    anchors: NDArray[np.int64]
+    seconds: float
+
+    @property
+    def poses(self) -> Floats:
+        """The optimised poses, (n, 3) or (n, 7) in the order of `graph.ids`."""
+        assert self.graph.poses is not None
+        return self.graph.poses
+
+    @property
+    def converged(self) -> bool:
+        """Whether the poses are a (local) minimum."""
+        return self.reason.converged
+
+    @property
+    def iterations(self) -> int:
+        """Number of iterations."""
+        return len(self.history)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Measured numbers less unknown ones."""
+        unknown = len(self.graph.ids) - len(self.anchors)
+        return self.graph.dof * (len(self.graph.edges) - unknown)
+
+    @property
+    def reduced_chi2(self) -> float | None:
+        """chi2 over the degrees of freedom: about 1 where information is honest.
+
+        None where nothing is measured twice.
+        """
+        return self.chi2 / self.degrees_of_freedom if self.degrees_of_freedom > 0 else None
+
+    def __repr__(self) -> str:
+        return (
+            f"Result({self.method}: chi2 {self.initial_chi2:.6g} -> {self.chi2:.6g} in "
+            f"{self.iterations} iterations, {self.reason.name})"
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the result, graph and history included, to an .npz file, whole or not at all."""
+        graph = self.graph
+        about = {
+            "version": _VERSION,
+            "method": self.method,
+            "reason": self.reason.name,
+            "message": self.message,
+            "initial_chi2": self.initial_chi2,
+            "chi2": self.chi2,
+            "seconds": self.seconds,
+            "notes": graph.notes,
+        }
+        buffer = io.BytesIO()
+        np.savez_compressed(
+            buffer,
+            about=np.array(json.dumps(about)),
+            ids=graph.ids,
+            poses=self.poses,
+            edges=graph.edges,
+            measurements=graph.measurements,
+            information=graph.information,
+            fixed=graph.fixed,
+            history=np.array(self.history, np.float64).reshape(-1, len(Iteration._fields)),
+            anchors=self.anchors,
+        )
+        write_atomically(Path(path), buffer.getvalue())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Result:
+        """Read a result that `save` wrote.
+
+        Raises
+        ------
+        FormatError
+            If the file holds something else.
+        """
+        path = Path(path)
+        try:
+            with np.load(path, allow_pickle=False) as arrays:
+                about = json.loads(str(arrays["about"]))
+                if about["version"] != _VERSION:
+                    raise FormatError(f"a result of version {about['version']}", path)
+                graph = PoseGraph.from_arrays(
+                    arrays["edges"],
+                    arrays["measurements"],
+                    arrays["information"],
+                    ids=arrays["ids"],
+                    poses=arrays["poses"],
+                    fixed=arrays["fixed"],
+                    notes=about["notes"],
+                )
+                return cls(
+                    graph=graph,
+                    method=about["method"],
+                    reason=StopReason[about["reason"]],
+                    message=about["message"],
+                    initial_chi2=about["initial_chi2"],
+                    chi2=about["chi2"],
+                    history=tuple(Iteration(*row) for row in arrays["history"].tolist()),
+                    anchors=arrays["anchors"],
+                    seconds=about["seconds"],
+                )
+        except FormatError:
+            raise
+        except (KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile, MasatError) as error:
+            raise FormatError(f"not a saved result: {error}", path) from None

@@ -1,0 +1,105 @@
+"""When an optimiser stops, and what it says of itself."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats: TypeAlias = NDArray[np.float64]
+
+
+class StopReason(enum.Enum):
+    """Why an optimisation stopped."""
+
+    RELATIVE_CHANGE = "relative change of chi2 below the tolerance"
+    ABSOLUTE_CHANGE = "change of chi2 below the absolute tolerance"
+    ROUNDING = "change of chi2 below the rounding of the coordinates"
+    GRADIENT = "gradient below the tolerance"
+    NOTHING_TO_DO = "no node is free to move"
+    MAX_ITERATIONS = "iteration limit reached"
+    DIVERGED = "chi2 grew beyond its start or beyond all numbers"
+    SINGULAR = "the system is singular"
+    STALLED = "no damping gives a step downhill"
+    INTERRUPTED = "stopped by the caller"
+
+    @property
+    def converged(self) -> bool:
+        """Whether the poses are a (local) minimum."""
+        return self in _CONVERGED
+
+
+_CONVERGED = {
+    StopReason.RELATIVE_CHANGE,
+    StopReason.ABSOLUTE_CHANGE,
+    StopReason.ROUNDING,
+    StopReason.GRADIENT,
+    StopReason.NOTHING_TO_DO,
+}
+
+
+class Iteration(NamedTuple):
+    """One iteration of an optimiser.
+
+    Attributes
+    ----------
+    chi2 : float
+        At its end.
+    step : float
+        Euclidean length of the step, all nodes together (metres and radians mixed).
+    damping : float
+        Relative to the diagonal of H; 0 in Gauss-Newton.
+    seconds : float
+        Wall time since the optimiser began.
+    """
+
+    chi2: float
+    step: float
+    damping: float
+    seconds: float
+
+
+Report: TypeAlias = Callable[[Iteration], object]
+"""Called after each iteration; returning True stops the optimiser."""
+
+
+@dataclass(frozen=True)
+class Termination:
+    """The limits and tolerances of `masat.optimize`."""
+
+    max_iterations: int
+    relative: float
+    absolute: float
+    gradient: float
+    rounding: float
+
+    def change(self, before: float, after: float) -> StopReason | None:
+        """Judge an accepted step: g2o's relative test, 0 <= (before - after) / after < relative.
+
+        Errors e known to de, with de' W de = rounding, blur chi2 by 2 e' W de + de' W de at most,
+        which the Cauchy-Schwarz inequality bounds: a smaller change means nothing.
+        """
+        if abs(before - after) <= self.absolute:
+            return StopReason.ABSOLUTE_CHANGE
+        if abs(before - after) <= 2 * (max(after, 0.0) * self.rounding) ** 0.5 + self.rounding:
+            return StopReason.ROUNDING
+        if 0 <= before - after < self.relative * after:
+            return StopReason.RELATIVE_CHANGE
+        return None
+
+    def flat(self, rhs: Floats) -> bool:
+        """Tell whether the gradient of chi2, -2 rhs, is below the tolerance (maximum norm)."""
+        return 2 * float(np.abs(rhs).max()) <= self.gradient
+
+
+class Outcome(NamedTuple):
+    """What an optimiser returns: the best poses it met, and why it stopped."""
+
+    poses: Floats
+    chi2: float
+    reason: StopReason
+    singular_node: int | None = None
