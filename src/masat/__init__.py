@@ -1,5 +1,6 @@
 """Pose-graph SLAM without a guess: read, diagnose, initialise, optimise, plot."""
 
+from masat.diagnostics import Diagnosis, diagnose
 from masat.errors import (
     FormatError,
     GraphError,
@@ -13,8 +14,10 @@ from masat.formats import read, write
 from masat.graph import PoseGraph
 from masat.initializers import initialize
 from masat.optimizers import Iteration, Result, StopReason, optimize
+from masat.plotting import plot
 
 __all__ = [
+    "Diagnosis",
     "FormatError",
     "GraphError",
     "InformationError",
@@ -26,8 +29,10 @@ __all__ = [
     "PoseGraph",
     "Result",
     "StopReason",
+    "diagnose",
     "initialize",
     "optimize",
+    "plot",
     "read",
     "write",
 ]

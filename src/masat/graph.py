@@ -132,6 +132,7 @@ class PoseGraph:
         held = np.unique(checks.integers("fixed", list(fixed)))
         for node in np.setdiff1d(held, nodes)[:1]:
             raise GraphError(f"the fixed node {node} is not in the graph")
+        matrices = checks.information_matrices(information, pairs, lie.DOF[dimension])
         graph = cls(
             ids=checks.frozen(nodes),
             poses=None if given is None else checks.frozen(given),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from masat.formats import g2o, isam, toro, untagged
 from masat.formats.reading import read
 from masat.formats.registry import FORMATS
 from masat.formats.writing import write
+
+__all__ = ["FORMATS", "read", "write"]

@@ -10,9 +10,9 @@ from masat.initializers.roots import roots_of
 
 
 def odometry(graph: PoseGraph, root: int | None = None) -> PoseGraph:
-    """Chain the measurements between nodes with consecutive ids (or neighbours in a list with gaps).
+    """Chain the measurements between nodes with consecutive ids.
 
-    Where the chain is broken, its pieces are joined by the tree with the fewest other edges, and
+    In a list of ids with gaps, neighbours in the list count as consecutive. Where the chain is broken, its pieces are joined by the tree with the fewest other edges, and
     the notes tell how many.
     """
     roots, poses, notes = roots_of(graph, root)

@@ -7,6 +7,7 @@ from time import perf_counter
 import numpy as np
 
 from masat._core import NormalEquations
+from masat.lie import DOF
 from masat.optimizers.termination import (
     Floats,
     Iteration,
@@ -21,16 +22,19 @@ from masat.optimizers.termination import (
 _FIRST_DAMPING = 1e-12
 _LEAST_DAMPING = 1e-15
 _MOST_DAMPING = 1e12
+_LINEAR = 1e-6
+_LEAST_SCALE = 1e-12
 
 
 def levenberg_marquardt(
     equations: NormalEquations, poses: Floats, termination: Termination, report: Report
 ) -> Outcome:
-    """Solve (H + damping diag H) step = J' W (-e), with as much damping as chi2 needs to fall.
+    """Solve (H + damping D) step = J' W (-e), with as much damping as chi2 needs to fall.
 
-    The diagonal makes it blind to the units of metres and radians. Sources: Marquardt, An algorithm
-    for least-squares estimation of nonlinear parameters, 1963; damping after Nielsen, Damping
-    parameter in Marquardt's method, 1999.
+    D is the diagonal of H at the rotations. Translations enter the error linearly once the rotations
+    are known, so they need no damping, and with it they would follow the rotations but slowly. Sources:
+    Marquardt, An algorithm for least-squares estimation of nonlinear parameters, 1963; damping after
+    Nielsen, Damping parameter in Marquardt's method, 1999.
     """
     start = perf_counter()
     chi2 = equations.linearize(poses)
@@ -40,8 +44,7 @@ def levenberg_marquardt(
         rhs = equations.rhs()
         if termination.flat(rhs):
             return Outcome(poses, chi2, StopReason.GRADIENT)
-        scale = equations.diagonal()
-        scale = np.maximum(scale, 1e-12 * scale.max())
+        scale = _scale(equations.diagonal(), poses)
         undisturbed = True
         while True:
             broken = equations.factorize(damping * scale)
@@ -76,3 +79,11 @@ def levenberg_marquardt(
         damping = max(damping * max(0.1, 1 - (2 * gain - 1) ** 3), _LEAST_DAMPING)
         growth = 2.0
     return Outcome(poses, chi2, StopReason.MAX_ITERATIONS)
+
+
+def _scale(diagonal: Floats, poses: Floats) -> Floats:
+    """Return D; a trace of the translations' part lets heavy damping mend a singular system."""
+    dimension = 2 if poses.shape[1] == 3 else 3
+    scale = diagonal.reshape(-1, DOF[dimension]).copy()
+    scale[:, :dimension] *= _LINEAR
+    return np.maximum(scale, _LEAST_SCALE * scale.max()).ravel()

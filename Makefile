@@ -1,0 +1,60 @@
+# Two commands do everything: `make demo` and `make test`. Both make their own environment.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+SOURCES := pyproject.toml CMakeLists.txt README.md LICENSE $(shell find core src -type f -not -name '*.pyc')
+
+.PHONY: demo test test-slow lint format sanitize benchmark clean
+
+demo: $(VENV)/.masat
+	$(BIN)/masat demo
+
+test: $(VENV)/.test
+	$(BIN)/python -m pytest
+
+test-slow: $(VENV)/.test
+	$(BIN)/python -m pytest -m "slow or not slow"
+
+lint: $(VENV)/.lint $(VENV)/.test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	git ls-files '*.cpp' '*.hpp' | xargs $(BIN)/clang-format --dry-run --Werror
+
+format: $(VENV)/.lint
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+	git ls-files '*.cpp' '*.hpp' | xargs $(BIN)/clang-format -i
+
+# The readers' fuzz test on a core with address and undefined-behaviour sanitizers.
+sanitize: $(VENV)/.test
+	$(BIN)/pip install -q --no-deps --target build/sanitized --upgrade . -C cmake.define.MASAT_SANITIZE=ON
+	ASAN_OPTIONS=detect_leaks=0 \
+	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
+	PYTHONPATH=build/sanitized $(BIN)/python -m pytest -q tests/test_fuzz.py tests/test_core.py
+
+benchmark: $(VENV)/.bench
+	$(BIN)/python -m benchmarks.start
+
+clean:
+	rm -rf $(VENV) build dist
+
+$(VENV)/bin/pip:
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install -q --upgrade pip
+
+$(VENV)/.masat: $(VENV)/bin/pip $(SOURCES)
+	$(BIN)/pip install -q .
+	@touch $@
+
+$(VENV)/.test: $(VENV)/.masat
+	$(BIN)/pip install -q '.[test]'
+	@touch $@
+
+$(VENV)/.lint: $(VENV)/bin/pip pyproject.toml
+	$(BIN)/pip install -q ruff mypy clang-format
+	@touch $@
+
+$(VENV)/.bench: $(VENV)/.masat
+	$(BIN)/pip install -q '.[bench]'
+	@touch $@

@@ -1,0 +1,79 @@
+"""The command `masat`: one file a subcommand, loaded when it is called."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import warnings
+
+import click
+
+EXIT_NOT_CONVERGED = 1
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+# Their help stands here so that `masat --help` loads none of them.
+_COMMANDS = {
+    "solve": "Optimise a pose graph and write the map.",
+    "info": "Say what a pose graph is like and what is odd about it.",
+    "compare": "Solve a pose graph from every start and compare.",
+    "convert": "Convert a pose graph to g2o.",
+    "demo": "Simulate a world, solve it from three starts, draw it.",
+}
+
+
+class _Commands(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in _COMMANDS:
+            return None
+        command: click.Command = getattr(importlib.import_module(f"masat.cli.{name}"), name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(_COMMANDS.items()))
+
+
+@click.group(
+    cls=_Commands,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="Start with:  masat demo    or:  masat solve graph.g2o -o map.g2o --plot map.png",
+)
+@click.version_option(package_name="masat")
+def cli() -> None:
+    """Pose-graph SLAM without a guess.
+
+    FILE is a pose graph in the format of g2o, TORO or iSAM, gzipped or not, recognised by its
+    content.
+
+    Exit codes: 0 done, 1 did not converge (the best result is still written), 2 bad input or usage.
+    """
+
+
+def main() -> None:
+    """Run the command line; errors become one line on standard error."""
+    from masat.errors import MasatError, MasatWarning
+
+    # Notes are printed by the commands themselves.
+    warnings.simplefilter("ignore", MasatWarning)
+    try:
+        code = cli.main(standalone_mode=False)
+    except click.exceptions.Exit as stop:
+        code = stop.exit_code
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("masat: interrupted", err=True)
+        code = EXIT_INTERRUPTED
+    except MasatError as error:
+        click.echo(f"masat: {error}", err=True)
+        code = EXIT_BAD_INPUT
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename is not None else ""
+        click.echo(f"masat: {where}{error.strerror or error}", err=True)
+        code = EXIT_BAD_INPUT
+    sys.exit(code if isinstance(code, int) else 0)

@@ -1,0 +1,73 @@
+"""`masat info`."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import click
+
+from masat.cli import options, show
+from masat.diagnostics import Diagnosis, diagnose
+
+
+@click.command(epilog="Example:  masat info M3500.g2o")
+@options.graph_file
+@click.option(
+    "--plot",
+    "picture",
+    type=click.Path(path_type=Path),
+    help="Picture of FILE's own poses, edges coloured by their error.",
+)
+@options.output
+def info(
+    file: Path,
+    file_format: str | None,
+    indefinite: str,
+    picture: Path | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Say what the pose graph in FILE is like, and what is odd about it."""
+    options.check_picture(picture)
+    graph = options.load(file, file_format, indefinite, quiet=True)
+    diagnosis = diagnose(graph)
+    if picture is not None:
+        from masat.plotting import plot
+
+        plot(graph, picture, color_by_error=True)
+    if as_json:
+        show.as_json({"file": str(file), **dataclasses.asdict(diagnosis)})
+    elif not quiet:
+        _tell(diagnosis)
+
+
+def _tell(d: Diagnosis) -> None:
+    sizes = ", ".join(map(str, d.components[:5])) + (", ..." if len(d.components) > 5 else "")
+    fit = "no poses in the file"
+    if d.chi2 is not None:
+        fit = f"chi2 {d.chi2:.6g}, reduced {show.number(d.reduced_chi2)}"
+    rows = [
+        ("dimension", f"{d.dimension}D"),
+        ("nodes", f"{d.nodes}, ids {d.ids[0]} to {d.ids[1]}, {len(d.fixed)} fixed"),
+        (
+            "edges",
+            f"{d.edges}: {d.odometry_edges} odometry, {d.loop_closures} loop closures, "
+            f"{d.repeated_pairs} pairs measured more than once",
+        ),
+        ("components", f"{len(d.components)} (nodes: {sizes})"),
+        ("degree", f"{d.degree[0]} to {d.degree[2]}, median {d.degree[1]:g}"),
+        (
+            "information",
+            f"eigenvalues {d.information[0]:.4g} to {d.information[1]:.4g}, "
+            f"condition up to {d.condition:.3g}",
+        ),
+        ("own poses", fit),
+    ]
+    if d.worst_edges:
+        worst = ", ".join(f"{a} -> {b} ({chi2:.3g})" for a, b, chi2 in d.worst_edges[:3])
+        rows.append(("worst edges", worst))
+    for text in d.odd:
+        rows.append(("odd", text))
+    for name, text in rows:
+        click.echo(f"{name:<12} {text}")

@@ -1,0 +1,119 @@
+"""Arguments and options that commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from masat.errors import MasatError
+from masat.formats import FORMATS, read
+from masat.graph import PoseGraph
+from masat.initializers import INITIALIZERS
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+OPTIMIZER_NAMES = {"gn": "gauss_newton", "lm": "levenberg_marquardt"}
+
+
+def graph_file(command: F) -> F:
+    """Add FILE and how to read it; the command gets a `load` function."""
+    for option in (
+        click.option(
+            "--indefinite",
+            type=click.Choice(["error", "nearest", "identity"]),
+            default="error",
+            show_default=True,
+            help="If information matrices are not positive definite: refuse, take the nearest that "
+            "are, or give every edge the identity.",
+        ),
+        click.option(
+            "--format",
+            "file_format",
+            type=click.Choice(list(FORMATS)),
+            help="Format of FILE, where its tags leave it open (EDGE2: iSAM's or TORO's).",
+        ),
+        click.argument("file", type=click.Path(path_type=Path)),
+    ):
+        command = option(command)
+    return command
+
+
+def load(file: Path, file_format: str | None, indefinite: Any, quiet: bool) -> PoseGraph:
+    """Read FILE and tell its notes."""
+    graph = read(file, format=file_format, indefinite=indefinite)
+    if not quiet:
+        notes(graph.notes)
+    return graph
+
+
+def notes(texts: tuple[str, ...]) -> None:
+    """Tell remarks on standard error."""
+    for text in texts:
+        click.echo(f"note: {text}", err=True)
+
+
+def output(command: F) -> F:
+    """Add --json and --quiet."""
+    command = click.option("-q", "--quiet", is_flag=True, help="Print only errors.")(command)
+    return click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")(command)
+
+
+def start(command: F) -> F:
+    """Add --init and --root."""
+    command = click.option(
+        "--root", type=int, help="Id of the node at the origin.  [default: the smallest]"
+    )(command)
+    return click.option(
+        "--init",
+        type=click.Choice(list(INITIALIZERS)),
+        default="masat",
+        show_default=True,
+        help="Initial guess; 'given' keeps the poses of FILE.",
+    )(command)
+
+
+def optimizer(command: F) -> F:
+    """Add --optimizer, --max-iterations and --tolerance."""
+    for option in (
+        click.option(
+            "--tolerance",
+            type=click.FloatRange(min=0),
+            default=1e-9,
+            show_default=True,
+            help="Stop when chi2 falls by a smaller share of itself.",
+        ),
+        click.option(
+            "--max-iterations", type=click.IntRange(min=0), default=100, show_default=True
+        ),
+        click.option(
+            "--optimizer",
+            type=click.Choice(list(OPTIMIZER_NAMES)),
+            default="lm",
+            show_default=True,
+            help="Levenberg-Marquardt or Gauss-Newton.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def check_writable(target: Path | None, source: Path | None = None) -> None:
+    """Refuse, before the work begins, a target that cannot be or must not be written."""
+    if target is None:
+        return
+    if source is not None and target.exists() and source.exists() and target.samefile(source):
+        raise MasatError(f"{target}: is the input, which is never changed; choose another name")
+    if not target.parent.is_dir():
+        raise MasatError(f"{target}: its folder does not exist")
+    if target.is_dir():
+        raise MasatError(f"{target}: is a folder, expected the name of a file")
+
+
+def check_picture(target: Path | None) -> None:
+    """Refuse a picture whose ending names no format."""
+    check_writable(target)
+    if target is not None and target.suffix not in (".png", ".pdf", ".svg", ".jpg"):
+        raise MasatError(f"{target}: a picture ends in .png, .pdf, .svg or .jpg")

@@ -1,0 +1,114 @@
+"""Tables, JSON and progress for people and machines."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from masat.optimizers import Iteration, Result
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+_PATIENCE = 0.5  # seconds before a progress line appears
+
+
+def as_json(values: dict[str, Any]) -> None:
+    """Print a JSON object."""
+    click.echo(json.dumps(values, indent=2))
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table, its first column to the left, the others to the right."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    grid = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for k, column in enumerate(columns):
+        grid.add_column(column, justify="right" if k else "left", no_wrap=True)
+    for row in rows:
+        grid.add_row(*row)
+    console = Console()
+    # A pipe has no width: nothing is cut there.
+    Console(width=None if console.is_terminal else 160).print(grid)
+
+
+def number(value: float | None) -> str:
+    """Return six digits, or a dash."""
+    return "-" if value is None else f"{value:.6g}"
+
+
+def duration(seconds: float) -> str:
+    """Return milliseconds or seconds."""
+    return f"{seconds * 1e3:.3g} ms" if seconds < 1 else f"{seconds:.2f} s"
+
+
+def summary(result: Result) -> dict[str, Any]:
+    """Return what JSON says of a result."""
+    return {
+        "optimizer": result.method,
+        "converged": result.converged,
+        "reason": result.reason.name.lower(),
+        "message": result.message,
+        "iterations": result.iterations,
+        "initial_chi2": result.initial_chi2,
+        "chi2": result.chi2,
+        "degrees_of_freedom": result.degrees_of_freedom,
+        "reduced_chi2": result.reduced_chi2,
+        "anchors": result.anchors.tolist(),
+        "seconds": result.seconds,
+        "history": [iteration._asdict() for iteration in result.history],
+    }
+
+
+class Watch:
+    """A progress line on standard error for an optimisation that takes its time.
+
+    Nothing is shown for short ones, to --quiet, and where standard error is no terminal.
+    """
+
+    def __init__(self, what: str, limit: int, *, quiet: bool) -> None:
+        self._what = what
+        self._limit = limit
+        self._silent = quiet or not sys.stderr.isatty()
+        self._since = perf_counter()
+        self._count = 0
+        self._bar: Progress | None = None
+
+    def __call__(self, iteration: Iteration) -> None:
+        """Take note of an iteration."""
+        self._count += 1
+        if self._silent or (self._bar is None and perf_counter() - self._since < _PATIENCE):
+            return
+        if self._bar is None:
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+            self._bar = Progress(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TextColumn("{task.completed} of at most {task.total} iterations"),
+                TimeElapsedColumn(),
+                console=Console(stderr=True),
+                transient=True,
+            )
+            self._bar.add_task("", total=self._limit)
+            self._bar.start()
+        self._bar.update(
+            self._bar.task_ids[0],
+            completed=self._count,
+            description=f"{self._what}  chi2 {iteration.chi2:.6g}",
+        )
+
+    def __enter__(self) -> Watch:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
