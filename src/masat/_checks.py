@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from masat.arrays import AnyArray, Floats, Ids
 from masat.errors import GraphError, InformationError
 from masat.information import indefinite
-
-Floats: TypeAlias = NDArray[np.float64]
-Ids: TypeAlias = NDArray[np.int64]
 
 # Printed quaternions are off unit length by their rounding; a norm further off is no rotation.
 _QUATERNION_TOLERANCE = 1e-2
 _UNIT_TO_ROUNDING = 1e-14
 
 
-def frozen(a: NDArray[Any]) -> NDArray[Any]:
+def frozen(a: AnyArray) -> AnyArray:
     a.flags.writeable = False
     return a
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from masat.arrays import Floats, Ids
 from masat.graph import PoseGraph
 from masat.optimizers.equations import edge_chi2
 
@@ -76,11 +76,14 @@ def diagnose(graph: PoseGraph) -> Diagnosis:
     _, multiplicity = np.unique(keys, return_counts=True)
     sizes = np.sort(np.bincount(graph.components))[::-1]
     degree = np.bincount(pairs.ravel(), minlength=n)
-    spectrum = np.linalg.eigvalsh(graph.information) if m else np.zeros((1, 1))
+    spectrum = np.linalg.eigvalsh(graph.information).astype(np.float64)
     cost = edge_chi2(graph) if graph.poses is not None else None
     free = n - len(graph.anchors())
     dof = graph.dof * (m - free)
-    worst = [] if cost is None else np.argsort(-cost, kind="stable")[:5]
+    worst: list[tuple[int, int, float]] = []
+    if cost is not None:
+        places = np.argsort(-cost, kind="stable")[:5]
+        worst = [(int(graph.edges[k, 0]), int(graph.edges[k, 1]), float(cost[k])) for k in places]
     return Diagnosis(
         dimension=graph.dimension,
         nodes=n,
@@ -93,24 +96,20 @@ def diagnose(graph: PoseGraph) -> Diagnosis:
         components=tuple(sizes.tolist()),
         degree=(int(degree.min()), float(np.median(degree)), int(degree.max())),
         fixed=tuple(graph.fixed.tolist()),
-        information=(float(spectrum.min()), float(spectrum.max())),
+        information=(float(spectrum.min()), float(spectrum.max())) if m else (0.0, 0.0),
         condition=float((spectrum[:, -1] / spectrum[:, 0]).max()) if m else 1.0,
         chi2=None if cost is None else float(cost.sum()),
         reduced_chi2=None if cost is None or dof <= 0 else float(cost.sum()) / dof,
-        worst_edges=tuple(
-            (int(graph.edges[k, 0]), int(graph.edges[k, 1]), float(cost[k]))
-            for k in worst
-            if cost is not None
-        ),
-        odd=tuple([*graph.notes, *_oddities(graph, sizes.tolist(), degree, spectrum, chained)]),
+        worst_edges=tuple(worst),
+        odd=(*graph.notes, *_oddities(graph, sizes.tolist(), degree, spectrum, chained)),
     )
 
 
 def _oddities(
     graph: PoseGraph,
     sizes: list[int],
-    degree: NDArray[np.int64],
-    spectrum: NDArray[np.float64],
+    degree: Ids,
+    spectrum: Floats,
     chained: int,
 ) -> list[str]:
     n, m = len(graph.ids), len(graph.edges)

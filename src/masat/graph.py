@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from masat import _checks as checks
 from masat import _core, lie
+from masat.arrays import Floats, Ids, Indices
 from masat.errors import GraphError
-
-Floats: TypeAlias = NDArray[np.float64]
-Ids: TypeAlias = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,9 +135,7 @@ class PoseGraph:
             poses=None if given is None else checks.frozen(given),
             edges=checks.frozen(pairs),
             measurements=checks.frozen(z),
-            information=checks.frozen(
-                checks.information_matrices(information, pairs, lie.DOF[dimension])
-            ),
+            information=checks.frozen(matrices),
             fixed=checks.frozen(held),
             notes=tuple(notes),
         )
@@ -183,7 +178,7 @@ class PoseGraph:
                 graph.__dict__[name] = self.__dict__[name]
         return graph
 
-    def index(self, ids: ArrayLike) -> NDArray[np.int64]:
+    def index(self, ids: ArrayLike) -> Ids:
         """Return the places of node ids, of any shape, in `ids`; unknown ones are a GraphError."""
         wanted = checks.integers("ids", ids)
         places = np.searchsorted(self.ids, wanted).clip(max=len(self.ids) - 1)
@@ -193,7 +188,7 @@ class PoseGraph:
         return places.astype(np.int64)
 
     @cached_property
-    def edge_indices(self) -> NDArray[np.int32]:
+    def edge_indices(self) -> Indices:
         """Places in `ids` of the nodes that each edge joins, (m, 2)."""
         if checks.without_gaps(self.ids):
             return checks.frozen((self.edges - self.ids[0]).astype(np.int32))
@@ -205,7 +200,7 @@ class PoseGraph:
         return _core.Topology(len(self.ids), np.ascontiguousarray(self.edge_indices))
 
     @cached_property
-    def components(self) -> NDArray[np.int32]:
+    def components(self) -> Indices:
         """Connected component of each node, (n,), numbered by their smallest ids."""
         return checks.frozen(self.topology.components())
 

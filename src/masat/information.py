@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from masat import _core
-
-Floats: TypeAlias = NDArray[np.float64]
+from masat.arrays import Floats, Ids
 
 Repair: TypeAlias = Literal["error", "nearest", "identity"]
 """What to do with indefinite information: refuse, take the nearest, or the identity everywhere."""
@@ -17,7 +15,7 @@ Repair: TypeAlias = Literal["error", "nearest", "identity"]
 _FLOOR = 1e-9
 
 
-def indefinite(information: Floats) -> NDArray[np.int64]:
+def indefinite(information: Floats) -> Ids:
     """Return the indices of the matrices, (m, d, d), that are not positive definite."""
     return _core.indefinite(np.ascontiguousarray(information))
 

@@ -7,14 +7,11 @@ tells the group; the axes before it broadcast.
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from masat import _core
-
-Floats: TypeAlias = NDArray[np.float64]
+from masat.arrays import Floats
 
 DOF = {2: 3, 3: 6}
 POSE_SIZE = {2: 3, 3: 7}

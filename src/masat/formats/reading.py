@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from masat import _core
+from masat.arrays import Floats
 from masat.errors import FormatError, GraphError, InformationError, MasatWarning
 from masat.formats.registry import FORMATS, recognise
 from masat.formats.table import Format
@@ -119,7 +120,7 @@ def _graph(
         )
     information = parsed["information"]
 
-    def build(matrices: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> PoseGraph:
+    def build(matrices: Floats) -> PoseGraph:
         return PoseGraph.from_arrays(
             edges,
             parsed["measurements"],

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
 from masat import lie
+from masat.arrays import Floats, Indices
 from masat.errors import InitializationError
 from masat.graph import PoseGraph
 
-Floats: TypeAlias = NDArray[np.float64]
 
-
-def roots_of(graph: PoseGraph, root: int | None) -> tuple[NDArray[np.int32], Floats, list[str]]:
+def roots_of(graph: PoseGraph, root: int | None) -> tuple[Indices, Floats, list[str]]:
     """Return the roots' indices, poses with the roots placed, and what to tell the user.
 
     A component begins at its fixed nodes, at their poses; without such, at `root` if that lies in

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from masat._core import NormalEquations
+from masat.arrays import Floats
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
 from masat.optimizers.equations import normal_equations, rounding_level, why_singular
@@ -15,7 +16,6 @@ from masat.optimizers.gauss_newton import gauss_newton
 from masat.optimizers.levenberg_marquardt import levenberg_marquardt
 from masat.optimizers.result import Result
 from masat.optimizers.termination import (
-    Floats,
     Iteration,
     Outcome,
     Report,

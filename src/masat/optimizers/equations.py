@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from masat import _core
+from masat.arrays import Floats, Ids
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
 
 _EPSILON = float(np.finfo(np.float64).eps)
 
 
-def normal_equations(graph: PoseGraph, anchors: NDArray[np.int64]) -> _core.NormalEquations:
+def normal_equations(graph: PoseGraph, anchors: Ids) -> _core.NormalEquations:
     """Analyse the system of a graph in which the anchors hold still."""
     held = np.zeros(len(graph.ids), np.bool_)
     held[graph.index(anchors)] = True
     return _core.NormalEquations(graph.topology, graph.measurements, graph.information, held)
 
 
-def edge_chi2(graph: PoseGraph) -> NDArray[np.float64]:
+def edge_chi2(graph: PoseGraph) -> Floats:
     """Return e' W e of each edge at the poses of the graph, (m,)."""
     if graph.poses is None:
         raise OptimizationError("the graph has no poses: give it some with masat.initialize")

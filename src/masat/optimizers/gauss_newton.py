@@ -7,8 +7,8 @@ from time import perf_counter
 import numpy as np
 
 from masat._core import NormalEquations
+from masat.arrays import Floats
 from masat.optimizers.termination import (
-    Floats,
     Iteration,
     Outcome,
     Report,

@@ -7,9 +7,9 @@ from time import perf_counter
 import numpy as np
 
 from masat._core import NormalEquations
+from masat.arrays import Floats
 from masat.lie import DOF
 from masat.optimizers.termination import (
-    Floats,
     Iteration,
     Outcome,
     Report,
@@ -31,10 +31,10 @@ def levenberg_marquardt(
 ) -> Outcome:
     """Solve (H + damping D) step = J' W (-e), with as much damping as chi2 needs to fall.
 
-    D is the diagonal of H at the rotations. Translations enter the error linearly once the rotations
-    are known, so they need no damping, and with it they would follow the rotations but slowly. Sources:
-    Marquardt, An algorithm for least-squares estimation of nonlinear parameters, 1963; damping after
-    Nielsen, Damping parameter in Marquardt's method, 1999.
+    D is the diagonal of H at the rotations. Translations enter the error linearly once the
+    rotations are known: they need no damping, and with it would follow the rotations but slowly.
+    Sources: Marquardt, An algorithm for least-squares estimation of nonlinear parameters, 1963;
+    damping after Nielsen, Damping parameter in Marquardt's method, 1999.
     """
     start = perf_counter()
     chi2 = equations.linearize(poses)
@@ -86,4 +86,5 @@ def _scale(diagonal: Floats, poses: Floats) -> Floats:
     dimension = 2 if poses.shape[1] == 3 else 3
     scale = diagonal.reshape(-1, DOF[dimension]).copy()
     scale[:, :dimension] *= _LINEAR
-    return np.maximum(scale, _LEAST_SCALE * scale.max()).ravel()
+    floored: Floats = np.maximum(scale, _LEAST_SCALE * scale.max())
+    return floored.ravel()

@@ -8,17 +8,14 @@ import os
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from masat.arrays import Floats, Ids
 from masat.errors import FormatError, MasatError
 from masat.files import write_atomically
 from masat.graph import PoseGraph
 from masat.optimizers.termination import Iteration, StopReason
-
-Floats: TypeAlias = NDArray[np.float64]
 
 _VERSION = 1
 
@@ -54,7 +51,7 @@ class Result:
     initial_chi2: float
     chi2: float
     history: tuple[Iteration, ...]
-    anchors: NDArray[np.int64]
+    anchors: Ids
     seconds: float
 
     @property

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats: TypeAlias = NDArray[np.float64]
+from masat.arrays import Floats
 
 
 class StopReason(enum.Enum):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from masat.arrays import Floats, Ids
 from masat.errors import GraphError
 from masat.graph import PoseGraph
 from masat.lie import between
@@ -50,8 +50,8 @@ def manhattan(
     """
     if nodes < 2 or edges < nodes - 1 or extent < 1:
         raise GraphError(
-            f"a walk needs two nodes, an edge less than nodes and an extent of a metre, got {nodes} "
-            f"nodes, {edges} edges and {extent} m"
+            "a walk needs two nodes, an edge less than nodes and an extent of a metre, got "
+            f"{nodes} nodes, {edges} edges and {extent} m"
         )
     random = np.random.default_rng(seed)
     places, headings = _walk(nodes, extent, random)
@@ -72,9 +72,7 @@ def manhattan(
     return PoseGraph.from_arrays(pairs, exact, poses=poses, ids=np.arange(nodes))
 
 
-def _walk(
-    nodes: int, extent: int, random: np.random.Generator
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _walk(nodes: int, extent: int, random: np.random.Generator) -> tuple[Ids, Ids]:
     """Return the places, (n, 2), and headings in quarter turns, (n,), from the origin."""
     turns = random.choice(_TURNS, size=nodes, p=_FREQUENCIES)
     places = np.zeros((nodes, 2), np.int64)
@@ -94,7 +92,7 @@ def _walk(
     return places, headings
 
 
-def _near_pairs(places: NDArray[np.int64]) -> NDArray[np.int64]:
+def _near_pairs(places: Ids) -> Ids:
     """Return the pairs (i, j), i < j - 1, of poses at most one metre apart, ascending."""
     span = int(np.ptp(places, axis=0).max()) + 3
     cells = (places - places.min(axis=0) + 1) @ np.array([span, 1])
@@ -112,11 +110,12 @@ def _near_pairs(places: NDArray[np.int64]) -> NDArray[np.int64]:
     return pairs[np.lexsort((pairs[:, 0], pairs[:, 1]))]
 
 
-def _wrapped(quarters: NDArray[np.int64]) -> NDArray[np.float64]:
-    return np.pi / 2 * ((quarters + 2) % 4 - 2)
+def _wrapped(quarters: Ids) -> Floats:
+    turns: Floats = ((quarters + 2) % 4 - 2).astype(np.float64)
+    return turns * (np.pi / 2)
 
 
-def _exact(measurements: NDArray[np.float64]) -> NDArray[np.float64]:
+def _exact(measurements: Floats) -> Floats:
     """Round to the grid what trigonometry left beside it."""
     quarters = np.rint(measurements[:, 2] / (np.pi / 2)).astype(np.int64)
     return np.column_stack([np.rint(measurements[:, :2]) + 0.0, _wrapped(quarters)])
