@@ -1,5 +1,6 @@
 #include "graph/topology.hpp"
 
+#include <algorithm>
 #include <deque>
 
 namespace masat {
@@ -10,6 +11,7 @@ Topology::Topology(std::int32_t nodes, std::vector<Edge> edges)
     ++start_[e.from];
     ++start_[e.to];
   }
+  max_degree_ = static_cast<std::int32_t>(*std::max_element(start_.begin(), start_.end()));
   std::int64_t total = 0;
   for (std::int64_t& count : start_) total += count, count = total;
   // Filling from the back leaves start_ at each node's first incidence, in edge order.

@@ -28,6 +28,7 @@ class Topology {
   Topology(std::int32_t nodes, std::vector<Edge> edges);
 
   std::int32_t nodes() const { return static_cast<std::int32_t>(start_.size()) - 1; }
+  std::int32_t max_degree() const { return max_degree_; }
   const std::vector<Edge>& edges() const { return edges_; }
   std::span<const Incidence> incident(std::int32_t node) const {
     return {incidence_.data() + start_[node], incidence_.data() + start_[node + 1]};
@@ -46,6 +47,7 @@ class Topology {
   std::vector<Edge> edges_;
   std::vector<std::int64_t> start_;
   std::vector<Incidence> incidence_;
+  std::int32_t max_degree_ = 0;
 };
 
 }  // namespace masat

@@ -1,6 +1,7 @@
 // Initial guesses by one walk over the graph: along a tree, or MASAT.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -42,37 +43,37 @@ void place_by_masat(const Topology& graph, std::span<const std::int32_t> roots,
                     const double* measurements, double* poses) {
   enum State : char { kUnseen, kQueued, kPlaced };
   const auto edges = static_cast<std::int64_t>(graph.edges().size());
-  std::vector<Group> z(edges), placed(graph.nodes());
-  for (std::int64_t k = 0; k < edges; ++k) z[k] = Group::load(measurements + Group::kSize * k);
+  const typename Group::Table z(measurements, edges);
+  std::vector<Group> placed(graph.nodes());
 
   std::vector<State> state(graph.nodes(), kUnseen);
-  std::vector<std::int32_t> queue;
-  queue.reserve(graph.nodes());
+  std::vector<std::int32_t> queue(graph.nodes() + 1);
+  std::vector<Incidence> ancestors(graph.max_degree() + 1);
+  std::size_t tail = 0;
   for (const std::int32_t root : roots) {
     placed[root] = Group::load(poses + std::int64_t{Group::kSize} * root);
     state[root] = kPlaced;
-    queue.push_back(root);
+    queue[tail++] = root;
   }
-  for (std::size_t head = 0; head < queue.size(); ++head) {
+  for (std::size_t head = 0; head < tail; ++head) {
     const std::int32_t node = queue[head];
-    const bool root = head < roots.size();
-    typename Group::Mean mean{Group{}};
-    bool any = false;
+    // Which neighbours are unseen or placed no branch predictor can tell: both lists are written
+    // to in any case, and grow only if it holds.
+    std::size_t count = 0;
     for (const Incidence& i : graph.incident(node)) {
-      if (state[i.node] == kUnseen) {
-        state[i.node] = kQueued;
-        queue.push_back(i.node);
-      } else if (!root && state[i.node] == kPlaced) {
-        const Group proposal = propose(placed[i.node], z[i.edge >= 0 ? i.edge : ~i.edge], i.edge);
-        if (any) {
-          mean.add(proposal);
-        } else {
-          mean = typename Group::Mean(proposal);
-          any = true;
-        }
-      }
+      State& s = state[i.node];
+      queue[tail] = i.node;
+      tail += s == kUnseen;
+      ancestors[count] = i;
+      count += s == kPlaced;
+      s = std::max(s, kQueued);
     }
-    if (root) continue;
+    if (head < roots.size()) continue;
+    const auto proposal = [&](const Incidence& i) {
+      return propose(placed[i.node], z[i.edge >= 0 ? i.edge : ~i.edge], i.edge);
+    };
+    typename Group::Mean mean(proposal(ancestors[0]));
+    for (std::size_t k = 1; k < count; ++k) mean.add(proposal(ancestors[k]));
     placed[node] = mean.get();
     placed[node].store(poses + std::int64_t{Group::kSize} * node);
     state[node] = kPlaced;

@@ -3,7 +3,11 @@
 
 #include <Eigen/Core>
 #include <cmath>
+#include <cstdint>
+#include <memory>
 #include <numbers>
+
+#include "lie/sincos.hpp"
 
 namespace masat {
 
@@ -24,7 +28,11 @@ struct SE2 {
   double x = 0, y = 0, theta = 0;
   double c = 1, s = 0;  // of theta: one sine-cosine pair a pose, however often it is used
 
-  static SE2 load(const double* p) { return {p[0], p[1], p[2], std::cos(p[2]), std::sin(p[2])}; }
+  static SE2 load(const double* p) {
+    const SinCos r = sincos(p[2]);
+    return {p[0], p[1], p[2], r.cos, r.sin};
+  }
+  class Table;
   void store(double* p) const {
     p[0] = x;
     p[1] = y;
@@ -43,6 +51,23 @@ struct SE2 {
   class Mean;
 };
 
+// An array of poses with the trigonometry done in one pass.
+class SE2::Table {
+ public:
+  Table(const double* poses, std::int64_t count)
+      : poses_(poses), rotations_(std::make_unique_for_overwrite<SinCos[]>(count)) {
+    sincos(poses + 2, kSize, count, rotations_.get());
+  }
+  SE2 operator[](std::int64_t k) const {
+    const double* const p = poses_ + kSize * k;
+    return {p[0], p[1], p[2], rotations_[k].cos, rotations_[k].sin};
+  }
+
+ private:
+  const double* poses_;
+  std::unique_ptr<SinCos[]> rotations_;
+};
+
 // Average of poses: mean position; direction of the mean unit vector of the headings.
 class SE2::Mean {
  public:
@@ -56,7 +81,7 @@ class SE2::Mean {
   }
   SE2 get() const {
     if (count_ == 1) return first_;
-    const double norm = std::hypot(sum_.c, sum_.s), k = 1.0 / count_;
+    const double norm = std::sqrt(sum_.c * sum_.c + sum_.s * sum_.s), k = 1.0 / count_;
     // Headings that cancel have no mean: the first one stands.
     if (norm == 0) return {sum_.x * k, sum_.y * k, first_.theta, first_.c, first_.s};
     return {sum_.x * k, sum_.y * k, std::atan2(sum_.s, sum_.c), sum_.c / norm, sum_.s / norm};

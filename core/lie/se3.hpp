@@ -4,6 +4,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 #include <cmath>
+#include <cstdint>
 
 namespace masat {
 
@@ -19,6 +20,7 @@ struct SE3 {
   static SE3 load(const double* p) {
     return {Eigen::Map<const Eigen::Vector3d>(p), Eigen::Quaterniond(p + 3)};
   }
+  class Table;
   void store(double* p) const {
     Eigen::Map<Eigen::Vector3d>{p} = t;
     Eigen::Map<Eigen::Vector4d>{p + 3} = q.coeffs().normalized();
@@ -42,6 +44,16 @@ struct SE3 {
   }
 
   class Mean;
+};
+
+// An array of poses.
+class SE3::Table {
+ public:
+  Table(const double* poses, std::int64_t) : poses_(poses) {}
+  SE3 operator[](std::int64_t k) const { return load(poses_ + kSize * k); }
+
+ private:
+  const double* poses_;
 };
 
 // Average of poses: mean position; mean of the unit quaternions, each with the sign that lies

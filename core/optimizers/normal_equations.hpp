@@ -53,9 +53,10 @@ class NormalEquationsOf final : public NormalEquations {
     }
     const auto m = static_cast<std::int64_t>(edges_.size());
     z_.reserve(m);
+    const typename Group::Table z(measurements, m);
     information_.reserve(m);
     for (std::int64_t k = 0; k < m; ++k) {
-      z_.push_back(Group::load(measurements + k * kSize));
+      z_.push_back(z[k]);
       information_.push_back(Eigen::Map<const Square>(information + k * kBlock));
     }
     find_pattern(graph);
@@ -153,9 +154,8 @@ class NormalEquationsOf final : public NormalEquations {
   }
 
   void load(const double* poses) {
-    for (std::size_t node = 0; node < poses_.size(); ++node) {
-      poses_[node] = Group::load(poses + kSize * node);
-    }
+    const typename Group::Table table(poses, nodes());
+    for (std::int32_t node = 0; node < nodes(); ++node) poses_[node] = table[node];
   }
 
   double edge_cost(std::size_t k) const {

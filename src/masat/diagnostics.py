@@ -78,7 +78,7 @@ def diagnose(graph: PoseGraph) -> Diagnosis:
     degree = np.bincount(pairs.ravel(), minlength=n)
     spectrum = np.linalg.eigvalsh(graph.information).astype(np.float64)
     cost = edge_chi2(graph) if graph.poses is not None else None
-    free = n - len(graph.anchors())
+    free = n - len(graph.anchors)
     dof = graph.dof * (m - free)
     worst: list[tuple[int, int, float]] = []
     if cost is not None:

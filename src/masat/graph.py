@@ -127,7 +127,7 @@ class PoseGraph:
         nodes, given = checks.ascending(nodes, given)
         checks.known_edges(nodes, pairs)
         held = np.unique(checks.integers("fixed", list(fixed)))
-        for node in np.setdiff1d(held, nodes)[:1]:
+        for node in held[~np.isin(held, nodes)][:1] if len(held) else ():
             raise GraphError(f"the fixed node {node} is not in the graph")
         matrices = checks.information_matrices(information, pairs, lie.DOF[dimension])
         graph = cls(
@@ -173,7 +173,7 @@ class PoseGraph:
             notes=tuple(dict.fromkeys([*self.notes, *notes])),
         )
         # What depends on the edges alone stays valid.
-        for name in ("edge_indices", "topology", "components"):
+        for name in ("edge_indices", "topology", "components", "anchors"):
             if name in self.__dict__:
                 graph.__dict__[name] = self.__dict__[name]
         return graph
@@ -204,12 +204,15 @@ class PoseGraph:
         """Connected component of each node, (n,), numbered by their smallest ids."""
         return checks.frozen(self.topology.components())
 
+    @cached_property
     def anchors(self) -> Ids:
-        """Return the ids that hold the gauge: `fixed`, and the smallest of each free component."""
-        _, smallest = np.unique(self.components, return_index=True)
-        held = np.unique(self.components[self.index(self.fixed)])
-        free = np.setdiff1d(np.arange(len(smallest)), held)
-        return np.union1d(self.fixed, self.ids[smallest[free]])
+        """The ids that hold the gauge: `fixed`, and the smallest of each free component."""
+        labels = self.components
+        # Components are numbered by their smallest ids: each begins where the label first grows.
+        first = np.flatnonzero(np.diff(np.maximum.accumulate(labels), prepend=-1))
+        held = labels[self.index(self.fixed)]
+        free = self.ids[np.delete(first, held)]
+        return checks.frozen(np.union1d(self.fixed, free))
 
     def _check_fixed(self) -> None:
         if self.poses is not None or len(self.fixed) < 2:

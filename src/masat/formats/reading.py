@@ -112,7 +112,8 @@ def _graph(
     with_vertices = len(ids) > 0
     if not with_vertices and len(edges) == 0:
         raise FormatError("the file holds neither a vertex nor an edge", path)
-    for k in np.flatnonzero(~np.isin(parsed["fixed_ids"], ids if with_vertices else edges))[:1]:
+    known = np.isin(parsed["fixed_ids"], ids if with_vertices else edges)
+    for k in np.flatnonzero(~known)[:1] if len(known) else ():
         raise FormatError(
             f"FIX names vertex {parsed['fixed_ids'][k]}, which is not in the file",
             path,

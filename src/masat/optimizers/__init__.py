@@ -87,7 +87,7 @@ def optimize(
     if max_iterations < 0 or min(relative_tolerance, absolute_tolerance, gradient_tolerance) < 0:
         raise OptimizationError("iteration limit and tolerances must not be negative")
     start = perf_counter()
-    anchors = graph.anchors()
+    anchors = graph.anchors
     equations = normal_equations(graph, anchors)
     initial = equations.chi2(graph.poses)
     history: list[Iteration] = []
