@@ -110,7 +110,9 @@ std::vector<std::int64_t> not_positive_definite(const double* matrices, std::siz
   std::vector<std::int64_t> bad;
   for (std::size_t k = 0; k < count; ++k) {
     const Eigen::LLT<Square> llt(Eigen::Map<const Square>(matrices + k * Dof * Dof));
-    if (llt.info() != Eigen::Success) bad.push_back(static_cast<std::int64_t>(k));
+    // Where elimination overflows, a pivot can be no number, which Eigen lets pass.
+    const bool positive = (llt.matrixLLT().diagonal().array() > 0).all();
+    if (llt.info() != Eigen::Success || !positive) bad.push_back(static_cast<std::int64_t>(k));
   }
   return bad;
 }
@@ -310,6 +312,9 @@ nb::bytes formatted(const std::string& tag, const Table<std::int64_t>& integers,
 NB_MODULE(_core, m) {
   using namespace masat;
 
+  // Tables of records live as long as the interpreter: no leak to warn of.
+  nb::set_leak_warnings(false);
+
   static PyObject* parse_error = PyErr_NewException("masat._core.ParseError", nullptr, nullptr);
   m.attr("ParseError") = nb::borrow(parse_error);
   nb::register_exception_translator([](const std::exception_ptr& p, void*) {
@@ -341,11 +346,11 @@ NB_MODULE(_core, m) {
   nb::class_<NormalEquations>(m, "NormalEquations")
       .def(nb::new_(&make_equations), "topology"_a, "measurements"_a, "information"_a, "fixed"_a)
       .def_prop_ro("fill", &NormalEquations::fill)
-      .def_prop_ro("free_nodes",
-                   [](const NormalEquations& e) {
-                     return as_array(
-                         std::vector<std::int32_t>(e.free_nodes().begin(), e.free_nodes().end()));
-                   })
+      .def("free_nodes",
+           [](const NormalEquations& e) {
+             return as_array(
+                 std::vector<std::int32_t>(e.free_nodes().begin(), e.free_nodes().end()));
+           })
       .def(
           "chi2",
           [](NormalEquations& e, const Table<double>& poses) {

@@ -49,12 +49,7 @@ std::vector<TreeLink> Topology::tree(std::span<const std::int32_t> roots,
   links.reserve(nodes());
   std::vector<char> visited(nodes(), 0);
   std::deque<TreeLink> queue;
-  for (const std::int32_t root : roots) queue.push_back({root, -1, -1});
-  while (!queue.empty()) {
-    const TreeLink link = queue.front();
-    queue.pop_front();
-    if (visited[link.node]) continue;
-    visited[link.node] = 1;
+  const auto visit = [&](const TreeLink& link) {
     links.push_back(link);
     for (const Incidence& i : incident(link.node)) {
       if (visited[i.node]) continue;
@@ -65,6 +60,15 @@ std::vector<TreeLink> Topology::tree(std::span<const std::int32_t> roots,
         queue.push_back({i.node, link.node, edge});
       }
     }
+  };
+  for (const std::int32_t root : roots) visited[root] = 1;
+  for (const std::int32_t root : roots) visit({root, -1, -1});
+  while (!queue.empty()) {
+    const TreeLink link = queue.front();
+    queue.pop_front();
+    if (visited[link.node]) continue;
+    visited[link.node] = 1;
+    visit(link);
   }
   return links;
 }

@@ -15,8 +15,11 @@ namespace masat {
 inline double wrap_angle(double theta) {
   constexpr double pi = std::numbers::pi, two_pi = 2 * pi;
   if (theta >= -pi && theta < pi) return theta;
-  const double wrapped = theta - two_pi * std::floor((theta + pi) / two_pi);
-  return wrapped < pi ? wrapped : -pi;
+  // The next turn up or down is the common case, and its subtraction exact.
+  if (theta >= pi && theta < 3 * pi) return theta - two_pi;
+  if (theta < -pi && theta >= -3 * pi) return theta + two_pi;
+  const double wrapped = std::remainder(theta, two_pi);
+  return wrapped >= pi ? wrapped - two_pi : wrapped;
 }
 
 struct SE2 {

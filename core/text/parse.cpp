@@ -22,13 +22,14 @@ constexpr bool starts_number(char c) {
 class Line {
  public:
   Line(std::string_view text, std::int64_t number)
-      : at_(text.data()), end_(text.data() + text.size()), number_(number) {
+      : at_(text.data()), end_(text.data() + text.size()), size_(text.size()), number_(number) {
     skip_blanks();
   }
 
   bool done() const { return at_ == end_; }
   char peek() const { return *at_; }
   std::int64_t number() const { return number_; }
+  std::size_t size() const { return size_; }
 
   std::string_view word() {
     const char* const begin = at_;
@@ -49,9 +50,12 @@ class Line {
       }
     }
     const char* begin = at_;
-    if (begin != end_ && *begin == '+') ++begin;  // from_chars knows no plus sign
+    if (begin != end_ && *begin == '+') {  // from_chars knows no plus sign
+      ++begin;
+      if (begin == end_ || *begin == '-') return {at_, std::errc::invalid_argument};
+    }
     auto result = std::from_chars(begin, end_, value);
-    if (result.ptr != end_ && !is_space(*result.ptr) && *result.ptr != '#') {
+    if (result.ptr != end_ && !is_space(*result.ptr)) {
       result.ec = std::errc::invalid_argument;
     }
     if (result.ec == std::errc{}) {
@@ -96,6 +100,7 @@ class Line {
 
   const char* at_;
   const char* end_;
+  std::size_t size_;
   std::int64_t number_;
 };
 
@@ -136,7 +141,8 @@ constexpr const char* words_of(PoseText pose) {
 
 class Parser {
  public:
-  explicit Parser(const std::vector<Record>& records) : records_(records) {}
+  Parser(const std::vector<Record>& records, std::size_t text_size)
+      : records_(records), text_size_(text_size) {}
 
   void read(Line& line) {
     const Record* const record = find(line);
@@ -261,6 +267,7 @@ class Parser {
   }
 
   void edge(Line& line, const Record& record) {
+    if (out_.edge_lines.empty()) reserve(line.size(), record.pose);
     const std::int64_t from = integer(line, record), to = integer(line, record);
     if (from == to) {
       line.fail("the edge joins vertex " + std::to_string(from) +
@@ -276,6 +283,17 @@ class Parser {
       information<6>(line, record);
     }
     end_of(line, record);
+  }
+
+  // Makes room for as many edges of this length as the text can hold; what stays unused is never
+  // touched.
+  void reserve(std::size_t line_size, PoseText pose) {
+    const std::size_t count = text_size_ / line_size + 1;
+    const int dimension = dimension_of(pose), dof = dof_of(dimension);
+    out_.edge_ids.reserve(2 * count);
+    out_.edge_lines.reserve(count);
+    out_.measurements.reserve(count * (dimension == 2 ? 3 : 7));
+    out_.information.reserve(count * dof * dof);
   }
 
   template <int Dof>
@@ -315,6 +333,7 @@ class Parser {
   }
 
   const std::vector<Record>& records_;
+  std::size_t text_size_;
   const Record* last_ = nullptr;
   std::unordered_map<std::string, std::size_t> unknown_;
   std::array<double, 36> values_{};
@@ -324,7 +343,7 @@ class Parser {
 }  // namespace
 
 ParsedGraph parse(std::string_view text, const std::vector<Record>& records) {
-  Parser parser(records);
+  Parser parser(records, text.size());
   for_each_line(text, [&](Line& line) { parser.read(line); });
   return parser.take();
 }

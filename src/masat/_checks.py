@@ -23,7 +23,7 @@ def matrix(name: str, values: ArrayLike) -> Floats:
     """Return a contiguous copy of a table of numbers."""
     try:
         table = np.array(values, np.float64, order="C")
-    except (TypeError, ValueError) as error:
+    except (OverflowError, TypeError, ValueError) as error:
         raise GraphError(f"{name} must be numbers: {error}") from None
     if table.size == 0 and table.ndim < 2:
         return table.reshape(0, 3)
@@ -100,7 +100,10 @@ def information_matrices(information: ArrayLike | None, pairs: Ids, dof: int) ->
     m = len(pairs)
     if information is None:
         return np.ascontiguousarray(np.broadcast_to(np.eye(dof), (m, dof, dof)))
-    given = np.asarray(information, np.float64)
+    try:
+        given = np.asarray(information, np.float64)
+    except (OverflowError, TypeError, ValueError) as error:
+        raise GraphError(f"information must be numbers: {error}") from None
     if given.shape not in ((dof, dof), (m, dof, dof)):
         raise GraphError(
             f"information must have shape ({m}, {dof}, {dof}) or ({dof}, {dof}), got {given.shape}"
@@ -113,7 +116,9 @@ def information_matrices(information: ArrayLike | None, pairs: Ids, dof: int) ->
     flipped = matrices.transpose(0, 2, 1)
     if not np.array_equal(matrices, flipped):
         scale = np.abs(flat).max(axis=1)
-        skewed = np.abs(matrices - flipped).reshape(flat.shape).max(axis=1) > 1e-9 * scale
+        with np.errstate(over="ignore"):
+            skew = np.abs(matrices - flipped).reshape(flat.shape).max(axis=1)
+        skewed = skew > 1e-9 * scale
         if skewed.any():
             k = int(np.flatnonzero(skewed)[0])
             raise InformationError(
@@ -122,7 +127,7 @@ def information_matrices(information: ArrayLike | None, pairs: Ids, dof: int) ->
                 edge=k,
                 count=int(np.count_nonzero(skewed)),
             )
-        matrices = 0.5 * (matrices + flipped)
+        matrices = 0.5 * matrices + 0.5 * flipped
     bad = indefinite(matrices)
     if len(bad):
         k = int(bad[0])

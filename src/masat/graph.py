@@ -126,7 +126,7 @@ class PoseGraph:
             given = checks.rotations(given, "pose of node", nodes, "node")
         nodes, given = checks.ascending(nodes, given)
         checks.known_edges(nodes, pairs)
-        held = np.unique(checks.integers("fixed", list(fixed)))
+        held = checks.integers("fixed", sorted(set(fixed)))
         for node in held[~np.isin(held, nodes)][:1] if len(held) else ():
             raise GraphError(f"the fixed node {node} is not in the graph")
         matrices = checks.information_matrices(information, pairs, lie.DOF[dimension])

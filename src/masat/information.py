@@ -42,5 +42,5 @@ def nearest_positive_definite(information: Floats) -> Floats:
     values, vectors = np.linalg.eigh(information[bad])
     values = np.maximum(values, _FLOOR * values[:, -1:])
     product = (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
-    fixed[bad] = 0.5 * (product + product.transpose(0, 2, 1))
+    fixed[bad] = 0.5 * product + 0.5 * product.transpose(0, 2, 1)
     return fixed

@@ -60,7 +60,7 @@ def main() -> None:
     # Notes are printed by the commands themselves.
     warnings.simplefilter("ignore", MasatWarning)
     try:
-        code = cli.main(standalone_mode=False)
+        code = cli.main(prog_name="masat", standalone_mode=False)
     except click.exceptions.Exit as stop:
         code = stop.exit_code
     except click.ClickException as error:

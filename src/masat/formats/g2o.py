@@ -21,13 +21,14 @@ def format_graph(graph: PoseGraph) -> bytes:
     vertex, edge = _TAGS[graph.dimension]
     upper = np.triu_indices(graph.dof)
     values = np.hstack([graph.measurements, graph.information[:, upper[0], upper[1]]])
-    none = np.empty((len(graph.fixed), 0))
-    vertices = b""
     if graph.poses is not None:
-        vertices = format_lines(vertex, graph.ids[:, None], graph.poses)
+        vertices, held = format_lines(vertex, graph.ids[:, None], graph.poses), graph.fixed
+    else:
+        # A node with neither pose nor edge has no line that FIX could refer to.
+        vertices, held = b"", graph.fixed[np.isin(graph.fixed, graph.edges)]
     return (
         vertices
-        + format_lines("FIX", graph.fixed[:, None], none)
+        + format_lines("FIX", held[:, None], np.empty((len(held), 0)))
         + format_lines(edge, graph.edges, np.ascontiguousarray(values))
     )
 

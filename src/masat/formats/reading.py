@@ -6,6 +6,7 @@ import gzip
 import os
 import warnings
 import zlib
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,13 @@ import numpy as np
 from masat import _core
 from masat.arrays import Floats
 from masat.errors import FormatError, GraphError, InformationError, MasatWarning
-from masat.formats.registry import FORMATS, recognise
+from masat.formats.registry import FORMATS, printable, recognise
 from masat.formats.table import Format
 from masat.graph import PoseGraph
 from masat.information import Repair, nearest_positive_definite
 
 _GZIP = b"\x1f\x8b"
+_TAGS_TOLD = 10
 
 
 def read(
@@ -93,11 +95,14 @@ def _format(name: str | None, text: bytes, path: Path) -> tuple[Format, list[str
 
 
 def _remarks(parsed: _core.ParsedGraph) -> list[str]:
+    unknown = parsed["unknown"].items()
     notes = [
-        f"{count} lines with the unknown tag {tag.decode('ascii', 'replace')} passed over "
-        f"(first: line {line})"
-        for tag, (count, line) in parsed["unknown"].items()
+        f"{count} lines with the unknown tag {printable(tag)} passed over (first: line {line})"
+        for tag, (count, line) in islice(unknown, _TAGS_TOLD)
     ]
+    if len(unknown) > _TAGS_TOLD:
+        more = sum(count for _, (count, _) in islice(unknown, _TAGS_TOLD, None))
+        notes.append(f"{more} lines with {len(unknown) - _TAGS_TOLD} more unknown tags passed over")
     if parsed["edges_without_information"]:
         notes.append(
             f"{parsed['edges_without_information']} edges have no information: identity taken"

@@ -17,6 +17,12 @@ FORMATS: dict[str, Format] = {
 }
 
 
+def printable(tag: bytes) -> str:
+    """Return a tag as short ASCII that a terminal can show."""
+    text = "".join(chr(c) if 32 <= c < 127 else "?" for c in tag[:40])
+    return text + ("..." if len(tag) > 40 else "")
+
+
 def recognise(text: bytes, path: Path) -> tuple[Format, list[str]]:
     """Return the format that knows most lines of a text, and the names of its rivals.
 
@@ -33,7 +39,7 @@ def recognise(text: bytes, path: Path) -> tuple[Format, list[str]]:
     known = {name: sum(counts.get(tag, 0) for tag in form.tags()) for name, form in FORMATS.items()}
     most = max(known.values())
     if most == 0:
-        seen = ", ".join(tag.decode("ascii", "replace")[:30] for tag in list(counts)[:5])
+        seen = ", ".join(printable(tag) for tag in list(counts)[:5])
         raise FormatError(
             f"no line of a pose graph found; its lines begin with: {seen}; known formats: "
             + ", ".join(FORMATS),

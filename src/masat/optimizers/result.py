@@ -129,7 +129,7 @@ class Result:
         """
         path = Path(path)
         try:
-            with np.load(path, allow_pickle=False) as arrays:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
                 about = json.loads(str(arrays["about"]))
                 if about["version"] != _VERSION:
                     raise FormatError(f"a result of version {about['version']}", path)

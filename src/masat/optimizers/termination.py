@@ -92,7 +92,7 @@ class Termination:
 
     def flat(self, rhs: Floats) -> bool:
         """Tell whether the gradient of chi2, -2 rhs, is below the tolerance (maximum norm)."""
-        return 2 * float(np.abs(rhs).max()) <= self.gradient
+        return self.gradient > 0 and 2 * float(np.abs(rhs).max()) <= self.gradient
 
 
 class Outcome(NamedTuple):

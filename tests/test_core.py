@@ -1,0 +1,97 @@
+"""The native module refuses what its Python callers never send."""
+
+import numpy as np
+import pytest
+
+from masat import _core
+
+FLOATS = {2: np.zeros((2, 3)), 3: np.tile([0, 0, 0, 0, 0, 0, 1.0], (2, 1))}
+
+
+def topology():
+    return _core.Topology(2, np.array([[0, 1]], np.int32))
+
+
+@pytest.mark.parametrize("edge", [[0, 2], [-1, 0]])
+def test_edges_out_of_range_are_refused(edge):
+    with pytest.raises(ValueError, match="out of range"):
+        _core.Topology(2, np.array([edge], np.int32))
+
+
+def test_arrays_that_do_not_fit_are_refused():
+    a = FLOATS[2]
+    with pytest.raises(ValueError, match="3 or 7"):
+        _core.inverse(np.zeros((2, 4)))
+    with pytest.raises(ValueError, match="same shape"):
+        _core.compose(a, FLOATS[3])
+    with pytest.raises(ValueError, match="3 or 6"):
+        _core.retract(a, np.zeros((2, 6)))
+    with pytest.raises(ValueError, match="3x3 or 6x6"):
+        _core.indefinite(np.zeros((1, 4, 4)))
+    with pytest.raises(ValueError, match="root out of range"):
+        _core.place_by_masat(topology(), np.array([5], np.int32), a[:1], a)
+    with pytest.raises(ValueError, match="measurements must be"):
+        _core.place_by_masat(topology(), np.array([0], np.int32), a, a)
+    with pytest.raises(ValueError, match="preferred"):
+        _core.place_along_tree(topology(), np.array([0], np.int32), np.ones(3, bool), a[:1], a)
+
+
+def test_equations_refuse_what_does_not_fit():
+    a = FLOATS[2]
+    held = np.array([True, False])
+    with pytest.raises(ValueError, match=r"\(m, d, d\)"):
+        _core.NormalEquations(topology(), a[:1], np.zeros((1, 6, 6)), held)
+    with pytest.raises(ValueError, match="one flag a node"):
+        _core.NormalEquations(topology(), a[:1], np.eye(3)[None], held[:1])
+    equations = _core.NormalEquations(topology(), a[:1], np.eye(3)[None], held)
+    with pytest.raises(ValueError, match="poses must be"):
+        equations.chi2(FLOATS[3])
+    with pytest.raises(ValueError, match="damping"):
+        equations.factorize(np.zeros(6))
+    with pytest.raises(ValueError, match="step"):
+        equations.retract(a, np.zeros(6))
+
+
+def test_equations_without_unknowns_are_solved_by_nothing():
+    equations = _core.NormalEquations(topology(), FLOATS[2][:1], np.eye(3)[None], np.ones(2, bool))
+    assert equations.linearize(FLOATS[2]) == 0
+    assert equations.factorize(np.zeros(0)) == -1
+    assert equations.solve().shape == (0,)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_whole_optimisation_runs(dimension):
+    z = FLOATS[dimension].copy()
+    z[:, 0] = 1
+    poses = FLOATS[dimension].copy()
+    dof = 3 * (dimension - 1)
+    edges = np.array([[0, 1], [1, 0]], np.int32)
+    graph = _core.Topology(2, edges)
+    placed = _core.place_by_masat(graph, np.array([0], np.int32), z, poses)
+    equations = _core.NormalEquations(
+        graph, z, np.tile(np.eye(dof), (2, 1, 1)), np.array([True, False])
+    )
+    equations.linearize(placed)
+    assert equations.factorize(np.zeros(dof)) == -1
+    moved = equations.retract(placed, equations.solve())
+    # One edge says +1, the other -1.
+    assert np.allclose(moved[1, :dimension], 0)
+    assert np.isclose(equations.chi2(moved), 2)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.5, -3.0, 9.9e4, 1.1e5, -1e12])
+def test_sine_and_cosine_are_the_library_s_to_the_last_places(angle):
+    # A pose times (1, 0, 0) lies at its cosine and sine, one by one and in bulk.
+    many = np.tile([0.0, 0.0, angle], (130, 1)) + np.arange(130)[:, None] * [0, 0, 0.37]
+    ahead = np.tile([1.0, 0.0, 0.0], (130, 1))
+    moved = _core.compose(many, ahead)
+    expected = np.column_stack([np.cos(many[:, 2]), np.sin(many[:, 2])])
+    assert np.allclose(moved[:, :2], expected, rtol=0, atol=4e-16)
+    nodes = len(many)
+    star = np.column_stack([np.zeros(2 * nodes), np.repeat(np.arange(1, nodes + 1), 2)])
+    z = np.repeat(many, 2, axis=0)
+    poses = np.zeros((nodes + 1, 3))
+    graph = _core.Topology(nodes + 1, star.astype(np.int32))
+    heading = _core.place_by_masat(graph, np.array([0], np.int32), z, poses)[1:, 2]
+    assert np.allclose(np.cos(heading), expected[:, 0], atol=1e-15)
+    assert np.allclose(np.sin(heading), expected[:, 1], atol=1e-15)
