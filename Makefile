@@ -28,7 +28,8 @@ format: $(VENV)/.lint
 
 # The readers' fuzz test on a core with address and undefined-behaviour sanitizers.
 sanitize: $(VENV)/.test
-	$(BIN)/pip install -q --no-deps --target build/sanitized --upgrade . -C cmake.define.MASAT_SANITIZE=ON
+	$(BIN)/pip install -q --no-deps --target build/sanitized --upgrade . -C cmake.define.MASAT_SANITIZE=ON \
+	  -C cmake.define.CMAKE_COMPILE_WARNING_AS_ERROR=ON
 	ASAN_OPTIONS=detect_leaks=0 \
 	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	PYTHONPATH=build/sanitized $(BIN)/python -m pytest -q tests/test_fuzz.py tests/test_core.py
