@@ -1,130 +1,70 @@
 #include "sparse/block_cholesky.hpp"
 
-#include <Eigen/OrderingMethods>
-#include <Eigen/SparseCholesky>
-#include <cmath>
-#include <limits>
+#include <algorithm>
+#include <stdexcept>
+#include <vector>
+
+#include "sparse/elimination_tree.hpp"
+#include "sparse/front_layout.hpp"
+#include "sparse/multifrontal.hpp"
+#include "sparse/ordering.hpp"
 
 namespace masat {
-namespace {
-
-using Sparse = Eigen::SparseMatrix<double>;
-using Permutation = Eigen::PermutationMatrix<Eigen::Dynamic, Eigen::Dynamic, int>;
-
-// Approximate minimum degree on the graph of the blocks, far smaller than that of the scalars.
-Permutation order_blocks(const BlockPattern& pattern) {
-  std::vector<Eigen::Triplet<double>> entries;
-  entries.reserve(2 * pattern.row.size());
-  for (std::int32_t c = 0; c < pattern.columns(); ++c) {
-    for (std::int64_t k = pattern.start[c]; k < pattern.start[c + 1]; ++k) {
-      entries.emplace_back(pattern.row[k], c, 1.0);
-      if (pattern.row[k] != c) entries.emplace_back(c, pattern.row[k], 1.0);
-    }
-  }
-  Sparse graph(pattern.columns(), pattern.columns());
-  graph.setFromTriplets(entries.begin(), entries.end());
-  Permutation order;
-  Eigen::AMDOrdering<int>()(graph, order);
-  return order.inverse();  // block k of the matrix becomes block order[k] of the factor
-}
-
-}  // namespace
 
 struct BlockCholesky::Impl {
-  using Factor =
-      Eigen::SimplicialLDLT<Sparse, Eigen::Lower, Eigen::NaturalOrdering<Sparse::StorageIndex>>;
-
-  Impl(const BlockPattern& pattern, int block_size)
-      : d(block_size), place(order_blocks(pattern)), origin(place.size()) {
-    const std::int32_t n = pattern.columns();
-    for (std::int32_t c = 0; c < n; ++c) origin[place.indices()[c]] = c;
-
-    std::vector<Eigen::Triplet<double>> entries;
-    entries.reserve(pattern.row.size() * d * d);
-    for_each_scalar(pattern, [&](std::int64_t, int r, int c) { entries.emplace_back(r, c, 1.0); });
-    lower.resize(n * d, n * d);
-    lower.setFromTriplets(entries.begin(), entries.end());
-    factor.analyzePattern(lower);
-
-    target.resize(pattern.row.size() * d * d, -1);
-    for_each_scalar(pattern, [&](std::int64_t k, int r, int c) {
-      const int* const begin = lower.innerIndexPtr() + lower.outerIndexPtr()[c];
-      const int* const end = lower.innerIndexPtr() + lower.outerIndexPtr()[c + 1];
-      target[k] =
-          static_cast<std::int32_t>(std::lower_bound(begin, end, r) - lower.innerIndexPtr());
-    });
-    work.resize(n * d);
-  }
-
-  // Visits each scalar of the lower triangle of the permuted matrix: (position in the block
-  // values, row, column). The upper half of a diagonal block is passed over.
-  template <class Visit>
-  void for_each_scalar(const BlockPattern& pattern, Visit visit) const {
-    for (std::int32_t c = 0; c < pattern.columns(); ++c) {
-      for (std::int64_t k = pattern.start[c]; k < pattern.start[c + 1]; ++k) {
-        const int row = place.indices()[pattern.row[k]] * d, column = place.indices()[c] * d;
-        for (int j = 0; j < d; ++j) {
-          for (int i = (row == column ? j : 0); i < d; ++i) {
-            const std::int64_t source = (k * d + j) * d + i;
-            if (row < column) {
-              visit(source, column + j, row + i);
-            } else {
-              visit(source, row + i, column + j);
-            }
-          }
-        }
+  Impl(const BlockPattern& pattern, const BlockGraph& graph, const EliminationTree& tree, int d,
+       int threads)
+      : layout(pattern, graph, tree, d, kernels().lanes),
+        factor(layout, kernels(), threads),
+        permuted(tree.order.size() * d) {
+    for (const std::int32_t count : tree.count) {
+      for (int k = 0; k < d; ++k) {
+        const std::int64_t height = std::int64_t{count} * d - k;
+        fill += height;
+        operations += double(height) * double(height);
       }
     }
   }
 
-  int d;
-  Permutation place;
-  std::vector<std::int32_t> origin;  // the matrix's block of each block of the factor
-  Sparse lower;
-  std::vector<std::int32_t> target;  // where each block scalar goes in `lower`; -1: nowhere
-  Factor factor;
-  Eigen::VectorXd work;
+  FrontLayout layout;
+  Multifrontal factor;
+  std::vector<double> permuted;
+  std::int64_t fill = 0;
+  double operations = 0;
 };
 
-BlockCholesky::BlockCholesky(const BlockPattern& pattern, int block_size)
-    : impl_(std::make_unique<Impl>(pattern, block_size)) {}
+BlockCholesky::BlockCholesky(const BlockPattern& pattern, int block_size, int threads,
+                             std::span<const std::int32_t> order) {
+  if (block_size != 3 && block_size != 6) throw std::invalid_argument("blocks are 3x3 or 6x6");
+  const BlockGraph graph(pattern);
+  const EliminationTree tree = order.empty() ? find_elimination_tree(graph, minimum_degree(graph))
+                                             : find_elimination_tree(graph, order);
+  impl_ = std::make_unique<Impl>(pattern, graph, tree, block_size, std::max(threads, 1));
+}
 BlockCholesky::~BlockCholesky() = default;
 
 std::int32_t BlockCholesky::factorize(std::span<const double> values,
                                       std::span<const double> damping) {
-  Impl& s = *impl_;
-  double* const out = s.lower.valuePtr();
-  for (std::size_t k = 0; k < values.size(); ++k) {
-    if (s.target[k] >= 0) out[s.target[k]] = values[k];
-  }
-  // The diagonal comes first in each column of the lower triangle.
-  const auto scalars = static_cast<int>(s.lower.cols());
-  const int* const column = s.lower.outerIndexPtr();
-  for (int k = 0; k < scalars; ++k) out[column[k]] += damping[s.origin[k / s.d] * s.d + k % s.d];
-  s.factor.factorize(s.lower);
-  // A pivot at the rounding level of its own diagonal is as good as zero.
-  constexpr double epsilon = std::numeric_limits<double>::epsilon();
-  const Eigen::VectorXd& pivots = s.factor.vectorD();
-  for (int k = 0; k < scalars; ++k) {
-    if (!(pivots[k] > epsilon * out[column[k]])) return s.origin[k / s.d];
-  }
-  return -1;
+  const std::int32_t broken = impl_->factor.factorize(values, damping);
+  return broken < 0 ? -1 : impl_->layout.tree().order[broken];
 }
 
 void BlockCholesky::solve(std::span<double> rhs) const {
-  Impl& s = *impl_;
-  const auto blocks = static_cast<std::int32_t>(s.origin.size());
-  for (std::int32_t k = 0; k < blocks; ++k) {
-    for (int i = 0; i < s.d; ++i) s.work[k * s.d + i] = rhs[s.origin[k] * s.d + i];
+  const int d = impl_->layout.block_size();
+  const std::vector<std::int32_t>& order = impl_->layout.tree().order;
+  double* permuted = impl_->permuted.data();
+  for (const std::int32_t node : order) {
+    permuted = std::copy_n(rhs.data() + std::int64_t{node} * d, d, permuted);
   }
-  s.work = s.factor.solve(s.work).eval();
-  for (std::int32_t k = 0; k < blocks; ++k) {
-    for (int i = 0; i < s.d; ++i) rhs[s.origin[k] * s.d + i] = s.work[k * s.d + i];
+  impl_->factor.solve(impl_->permuted);
+  const double* solved = impl_->permuted.data();
+  for (const std::int32_t node : order) {
+    std::copy_n(solved, d, rhs.data() + std::int64_t{node} * d);
+    solved += d;
   }
 }
 
-std::int64_t BlockCholesky::fill() const {
-  return impl_->factor.matrixL().nestedExpression().nonZeros() + impl_->work.size();
-}
+std::int64_t BlockCholesky::fill() const { return impl_->fill; }
+double BlockCholesky::operations() const { return impl_->operations; }
 
 }  // namespace masat

@@ -4,22 +4,18 @@
 #include <cstdint>
 #include <memory>
 #include <span>
-#include <vector>
+
+#include "sparse/block_pattern.hpp"
 
 namespace masat {
 
-// Lower triangle by block columns, rows ascending, the diagonal block first in each.
-struct BlockPattern {
-  std::vector<std::int64_t> start;  // of each block column, and the end
-  std::vector<std::int32_t> row;
-
-  std::int32_t columns() const { return static_cast<std::int32_t>(start.size()) - 1; }
-};
-
 class BlockCholesky {
  public:
-  // Analyses the pattern: a fill-reducing order of the blocks and the pattern of the factor.
-  BlockCholesky(const BlockPattern& pattern, int block_size);
+  // Analyses the pattern: a fill-reducing order of the blocks and the fronts of the factor. Blocks
+  // are 3x3 or 6x6. A given order, the block to eliminate k-th, replaces the minimum degree one; an
+  // equivalent one is used. Results do not depend on the number of threads.
+  BlockCholesky(const BlockPattern& pattern, int block_size, int threads = 1,
+                std::span<const std::int32_t> order = {});
   ~BlockCholesky();
 
   // Factorises the matrix with the blocks `values`, each column-major, in the order of the
@@ -27,11 +23,13 @@ class BlockCholesky {
   // changes. Returns -1, or the block at which the matrix is not positive definite.
   std::int32_t factorize(std::span<const double> values, std::span<const double> damping);
 
-  // Overwrites the right-hand side with the solution.
+  // Overwrites the right-hand side with the solution. One thread at a time.
   void solve(std::span<double> rhs) const;
 
-  // Entries of the factor.
+  // Entries of the factor, and the floating-point operations to compute it; without what the
+  // storage pads.
   std::int64_t fill() const;
+  double operations() const;
 
  private:
   struct Impl;

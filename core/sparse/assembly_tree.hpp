@@ -1,0 +1,34 @@
+// The fronts of a multifrontal factorisation and their tree.
+// Duff, Reid, "The multifrontal solution of indefinite sparse symmetric linear equations",
+// TOMS 1983; Liu, "The multifrontal method for sparse matrix solution", SIAM Review 1992.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "sparse/block_pattern.hpp"
+#include "sparse/elimination_tree.hpp"
+
+namespace masat {
+
+// Front f eliminates the nodes order[first[f]], ..., order[first[f + 1] - 1] and updates the rows
+// below them. Fronts are postordered; rows are places in `order`, ascending.
+struct AssemblyTree {
+  std::vector<std::int32_t> order, place;
+  std::vector<std::int32_t> first;   // of each front, and the end
+  std::vector<std::int32_t> parent;  // -1 at a root
+  std::vector<std::int64_t> row_start;
+  std::vector<std::int32_t> row;
+
+  std::int32_t fronts() const { return static_cast<std::int32_t>(parent.size()); }
+  std::int32_t pivots(std::int32_t f) const { return first[f + 1] - first[f]; }
+  std::span<const std::int32_t> rows(std::int32_t f) const {
+    return {row.data() + row_start[f], row.data() + row_start[f + 1]};
+  }
+};
+
+AssemblyTree build_assembly_tree(const BlockGraph& graph, const EliminationTree& tree,
+                                 int block_size);
+
+}  // namespace masat

@@ -1,0 +1,69 @@
+// Where everything of a multifrontal factorisation lies: the factor, the matrix's blocks in it, and
+// the children in their parents.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "sparse/assembly_tree.hpp"
+#include "sparse/block_pattern.hpp"
+#include "sparse/forest.hpp"
+#include "sparse/kernels.hpp"
+
+namespace masat {
+
+// A block of the matrix below or on the diagonal of the factor.
+struct BlockEntry {
+  std::int64_t target;  // of its first scalar, in the factor
+  std::int32_t source;  // in the pattern
+  bool below;           // in l21, else in l11
+  bool transposed;
+};
+
+class FrontLayout {
+ public:
+  FrontLayout(const BlockPattern& pattern, const BlockGraph& graph, const EliminationTree& tree,
+              int block_size, int lanes);
+
+  const AssemblyTree& tree() const { return tree_; }
+  int block_size() const { return block_size_; }
+  std::int32_t fronts() const { return tree_.fronts(); }
+  const FrontShape& shape(std::int32_t f) const { return shape_[f]; }
+  // Place in the eliminated vector of a front's first pivot.
+  std::int64_t first(std::int32_t f) const { return std::int64_t{tree_.first[f]} * block_size_; }
+
+  std::int64_t factor_size() const { return factor_start_.back(); }
+  std::int64_t contribution_size(std::int32_t f) const { return shape_[f].ld21 * shape_[f].rows; }
+  // A front over the factor's values.
+  Front front(std::int32_t f, double* factor, double* contribution = nullptr) const {
+    double* const l11 = factor + factor_start_[f];
+    return {shape_[f], l11, l11 + l11_size(f), contribution};
+  }
+
+  std::span<const std::int32_t> children(std::int32_t f) const { return children_.of(f); }
+  // A front's rows in its parent.
+  std::span<const Run> runs(std::int32_t f) const {
+    return {runs_.data() + run_start_[f], runs_.data() + run_start_[f + 1]};
+  }
+  // The blocks of the matrix in the columns of a place in the elimination order.
+  std::span<const BlockEntry> entries(std::int32_t place) const {
+    return {entries_.data() + entry_start_[place], entries_.data() + entry_start_[place + 1]};
+  }
+
+ private:
+  std::int64_t l11_size(std::int32_t f) const { return shape_[f].ld11 * shape_[f].pivots; }
+  void place_fronts(int lanes);
+  void find_runs();
+  void place_entries(const BlockPattern& pattern, const BlockGraph& graph);
+
+  int block_size_;
+  AssemblyTree tree_;
+  Children children_;
+  std::vector<FrontShape> shape_;
+  std::vector<std::int64_t> factor_start_, run_start_, entry_start_;
+  std::vector<Run> runs_;
+  std::vector<BlockEntry> entries_;
+};
+
+}  // namespace masat

@@ -1,0 +1,65 @@
+// Vectors of MASAT_LANES doubles, and the products of tiles held in registers.
+#pragma once
+
+#include <cstdint>
+
+namespace masat {
+namespace {
+
+typedef double Vector __attribute__((vector_size(8 * MASAT_LANES), may_alias));
+
+constexpr std::int32_t kLanes = MASAT_LANES;
+constexpr std::int32_t kVectors = MASAT_TILE_VECTORS;  // rows of a tile
+constexpr std::int32_t kColumns = 6;                   // of a tile; the last may have 3
+constexpr std::int64_t kDepth = 96;  // columns whose tile of rows stays in the first cache
+
+inline Vector load(const double* p) { return *reinterpret_cast<const Vector*>(p); }
+inline void store(double* p, Vector v) { *reinterpret_cast<Vector*>(p) = v; }
+
+template <class Int>
+constexpr Int round_down(Int x) {
+  return x & -Int{kLanes};
+}
+template <class Int>
+constexpr Int round_up(Int x) {
+  return round_down(x + kLanes - 1);
+}
+
+// sum = a b' for R vectors of rows of a and N rows of b.
+template <int R, int N>
+[[gnu::always_inline]] inline void multiply_tile(const double* a, std::int64_t lda, const double* b,
+                                                 std::int64_t ldb, std::int64_t depth,
+                                                 Vector (&sum)[N][R]) {
+#pragma GCC unroll 8
+  for (int n = 0; n < N; ++n) {
+#pragma GCC unroll 8
+    for (int r = 0; r < R; ++r) sum[n][r] = Vector{};
+  }
+  for (std::int64_t k = 0; k < depth; ++k, a += lda, b += ldb) {
+    Vector rows[R];
+#pragma GCC unroll 8
+    for (int r = 0; r < R; ++r) rows[r] = load(a + r * kLanes);
+#pragma GCC unroll 8
+    for (int n = 0; n < N; ++n) {
+      const Vector column = Vector{} + b[n];
+#pragma GCC unroll 8
+      for (int r = 0; r < R; ++r) sum[n][r] += rows[r] * column;
+    }
+  }
+}
+
+// Calls f with the number of vectors and of columns as compile-time constants.
+template <int R = kVectors, class F>
+[[gnu::always_inline]] inline void with_tile(std::int64_t vectors, bool full, F f) {
+  if constexpr (R > 1) {
+    if (vectors < R) return with_tile<R - 1>(vectors, full, f);
+  }
+  if (full) {
+    f.template operator()<R, kColumns>();
+  } else {
+    f.template operator()<R, 3>();
+  }
+}
+
+}  // namespace
+}  // namespace masat

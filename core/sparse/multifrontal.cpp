@@ -1,0 +1,166 @@
+#include "sparse/multifrontal.hpp"
+
+#include <algorithm>
+#include <limits>
+
+namespace masat {
+namespace {
+
+constexpr std::int64_t kNone = std::numeric_limits<std::int64_t>::max();
+
+template <int kSize>
+void copy_block(double* to, std::int64_t ld, const double* from, bool transposed) {
+  if (transposed) {
+    for (int j = 0; j < kSize; ++j) {
+      for (int i = 0; i < kSize; ++i) to[j * ld + i] = from[i * kSize + j];
+    }
+  } else {
+    for (int j = 0; j < kSize; ++j) {
+      for (int i = 0; i < kSize; ++i) to[j * ld + i] = from[j * kSize + i];
+    }
+  }
+}
+
+std::int32_t chunks(std::int32_t count, std::int32_t size) { return (count + size - 1) / size; }
+
+}  // namespace
+
+Multifrontal::Multifrontal(const FrontLayout& layout, const Kernels& kernels, int threads)
+    : layout_(layout),
+      kernels_(kernels),
+      pool_(threads),
+      schedule_(layout, pool_.threads()),
+      factor_(layout.factor_size()),
+      common_(schedule_.common_size) {
+  if (pool_.threads() > 1) {
+    for (int t = 0; t < pool_.threads(); ++t) own_.emplace_back(schedule_.thread_size);
+  }
+  const std::size_t scalars = layout.tree().order.size() * layout.block_size();
+  reciprocal_.resize(scalars);
+  floor_.resize(scalars);
+  std::int64_t widest = 0;
+  for (std::int32_t f = 0; f < layout.fronts(); ++f) {
+    widest = std::max({widest, layout.shape(f).ld11, layout.shape(f).ld21});
+  }
+  gathered_ = AlignedBuffer(2 * widest);
+}
+
+std::int32_t Multifrontal::factorize(std::span<const double> values,
+                                     std::span<const double> damping) {
+  values_ = values;
+  damping_ = damping;
+  broken_.store(kNone, std::memory_order_relaxed);
+  {
+    const WorkerPool::Session session(pool_);
+    pool_.for_each(static_cast<std::int32_t>(schedule_.subtrees.size()),
+                   [this](std::int32_t s, int rank) {
+                     const Schedule::Subtree& subtree = schedule_.subtrees[s];
+                     const Solo solo{rank};
+                     for (std::int32_t f = subtree.first; f <= subtree.last && matters(f); ++f) {
+                       process(f, rank, solo);
+                     }
+                   });
+    for (const Schedule::TopFront& top : schedule_.top) {
+      if (!matters(top.front)) break;
+      if (top.shared) {
+        process(top.front, 0, pool_);
+      } else {
+        process(top.front, 0, Solo{0});
+      }
+    }
+  }
+  const std::int64_t broken = broken_.load(std::memory_order_relaxed);
+  return broken == kNone ? -1 : static_cast<std::int32_t>(broken / layout_.block_size());
+}
+
+// Fronts after a broken pivot do not matter, and those before it are all computed: the first one is
+// found whatever the threads do.
+bool Multifrontal::matters(std::int32_t f) const {
+  return layout_.first(f) < broken_.load(std::memory_order_relaxed);
+}
+
+double* Multifrontal::contribution(std::int32_t f, int rank) const {
+  return (schedule_.in_common[f] ? common_ : own_[rank]).data() + schedule_.contribution[f];
+}
+
+template <class Threads>
+void Multifrontal::process(std::int32_t f, int rank, Threads&& threads) {
+  constexpr std::int32_t kPanel = Kernels::kPanel, kTile = Kernels::kTile;
+  const Front front = layout_.front(f, factor_.data(), contribution(f, rank));
+  threads.for_each(chunks(front.pivots, kPanel), [&](std::int32_t i, int) {
+    assemble_pivots(front, f, rank, i * kPanel, std::min((i + 1) * kPanel, front.pivots));
+  });
+  eliminate(front, f, threads);
+  if (layout_.first(f) + front.pivots > broken_.load(std::memory_order_relaxed)) return;
+  // The long rows first, for balance.
+  const std::int32_t tiles = chunks(front.rows, kTile);
+  threads.for_each(tiles, [&](std::int32_t i, int) {
+    const std::int32_t first = (tiles - 1 - i) * kTile;
+    kernels_.update_rows(front, first, std::min(first + kTile, front.rows));
+  });
+  if (layout_.children(f).empty()) return;
+  threads.for_each(chunks(front.rows, kPanel), [&](std::int32_t i, int) {
+    add_children(front, f, rank, front.pivots + i * kPanel,
+                 front.pivots + std::min((i + 1) * kPanel, front.rows));
+  });
+}
+
+void Multifrontal::assemble_pivots(const Front& front, std::int32_t f, int rank, std::int32_t begin,
+                                   std::int32_t end) {
+  std::fill(front.l11 + begin * front.ld11, front.l11 + end * front.ld11, 0.0);
+  std::fill(front.l21 + begin * front.ld21, front.l21 + end * front.ld21, 0.0);
+  const int d = layout_.block_size();
+  const auto copy = d == 3 ? copy_block<3> : copy_block<6>;
+  const std::int32_t first = layout_.tree().first[f];
+  for (std::int32_t k = first + begin / d; k < first + end / d; ++k) {
+    for (const BlockEntry& entry : layout_.entries(k)) {
+      copy(factor_.data() + entry.target, entry.below ? front.ld21 : front.ld11,
+           values_.data() + std::int64_t{entry.source} * d * d, entry.transposed);
+    }
+    const std::int64_t node = std::int64_t{layout_.tree().order[k]} * d;
+    double* const diagonal = front.l11 + std::int64_t{k - first} * d * (front.ld11 + 1);
+    for (int i = 0; i < d; ++i) {
+      double& value = diagonal[i * (front.ld11 + 1)];
+      value += damping_[node + i];
+      floor_[std::int64_t{k} * d + i] = std::numeric_limits<double>::epsilon() * value;
+    }
+  }
+  add_children(front, f, rank, begin, end);
+}
+
+void Multifrontal::add_children(const Front& front, std::int32_t f, int rank, std::int32_t begin,
+                                std::int32_t end) {
+  for (const std::int32_t c : layout_.children(f)) {
+    const std::span<const Run> runs = layout_.runs(c);
+    kernels_.extend_add(front, contribution(c, rank), layout_.shape(c).ld21, runs.data(),
+                        static_cast<std::int64_t>(runs.size()), begin, end);
+  }
+}
+
+template <class Threads>
+void Multifrontal::eliminate(const Front& front, std::int32_t f, Threads&& threads) {
+  constexpr std::int32_t kPanel = Kernels::kPanel, kTile = Kernels::kTile;
+  const std::int64_t column = layout_.first(f);
+  double* const reciprocal = reciprocal_.data() + column;
+  for (std::int32_t begin = 0; begin < front.pivots; begin += kPanel) {
+    const std::int32_t broken =
+        kernels_.factor_diagonal(front, begin, reciprocal, floor_.data() + column);
+    if (broken >= 0) return report_broken(column + broken);
+    const std::int32_t end = std::min(begin + kPanel, front.pivots);
+    const std::int32_t inside = chunks(front.pivots - end, kTile);
+    threads.for_each(inside + chunks(front.rows, kTile), [&](std::int32_t i, int) {
+      const bool below = i >= inside;
+      const std::int32_t first = below ? (i - inside) * kTile : end + i * kTile;
+      const std::int32_t last = std::min(first + kTile, below ? front.rows : front.pivots);
+      kernels_.solve_rows(front, begin, reciprocal, below, first, last);
+    });
+  }
+}
+
+void Multifrontal::report_broken(std::int64_t column) {
+  std::int64_t known = broken_.load(std::memory_order_relaxed);
+  while (column < known && !broken_.compare_exchange_weak(known, column)) {
+  }
+}
+
+}  // namespace masat

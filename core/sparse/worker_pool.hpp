@@ -1,0 +1,78 @@
+// Threads that share the steps of a computation.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <thread>
+#include <type_traits>
+#include <vector>
+
+namespace masat {
+
+// The caller drives: it publishes each step and works on it; the other threads take tasks as they
+// find them. A step waits for its tasks only, never for a thread that has not come to it.
+class WorkerPool {
+ public:
+  explicit WorkerPool(int threads);
+  ~WorkerPool();
+  WorkerPool(const WorkerPool&) = delete;
+  WorkerPool& operator=(const WorkerPool&) = delete;
+
+  int threads() const { return static_cast<int>(workers_.size()) + 1; }
+
+  // Keeps the workers awake while it lives.
+  class Session {
+   public:
+    explicit Session(WorkerPool& pool) : pool_(pool) { pool_.advance_round(); }
+    ~Session() { pool_.advance_round(); }
+    Session(const Session&) = delete;
+    Session& operator=(const Session&) = delete;
+
+   private:
+    WorkerPool& pool_;
+  };
+
+  // Calls f(index, rank) for each index below `count`, each on some thread, with its rank; returns
+  // when all are done. `f` must not throw.
+  template <class F>
+  void for_each(std::int32_t count, F&& f) {
+    if (count == 1 || workers_.empty()) {
+      for (std::int32_t i = 0; i < count; ++i) f(i, 0);
+      return;
+    }
+    using Plain = std::remove_reference_t<F>;
+    share(
+        count,
+        [](void* context, std::int32_t i, int rank) { (*static_cast<Plain*>(context))(i, rank); },
+        &f);
+  }
+
+ private:
+  using Function = void (*)(void* context, std::int32_t index, int rank);
+  void share(std::int32_t count, Function function, void* context);
+  bool work_on_task(int rank);
+  void work(int rank);
+  void advance_round();
+
+  std::vector<std::thread> workers_;
+  std::atomic<std::uint32_t> round_{0};  // odd in a session and at the end
+  std::atomic<bool> stop_{false};
+  // The step. The ticket holds its number above the count of the tasks not taken yet: to take one
+  // is to know that the rest is the step's.
+  alignas(64) std::atomic<std::uint64_t> ticket_{0};
+  std::atomic<std::int32_t> count_{0};
+  std::atomic<Function> function_{nullptr};
+  std::atomic<void*> context_{nullptr};
+  alignas(64) std::atomic<std::int32_t> done_{0};
+};
+
+// A pool of one, within a task.
+struct Solo {
+  int rank;
+  template <class F>
+  void for_each(std::int32_t count, F&& f) const {
+    for (std::int32_t i = 0; i < count; ++i) f(i, rank);
+  }
+};
+
+}  // namespace masat
