@@ -492,6 +492,15 @@ def test_information_without_any_positive_eigenvalue_has_no_nearest(read, number
     assert caught.value.line == 2
 
 
+@pytest.mark.parametrize(
+    "numbers",
+    ["1e308 1e308 1e308 1e308 1e308 -1e308", "1e308 1e308 0 1e308 0 -1", "1e308 0 1 1 -1 -1e160"],
+)
+def test_indefinite_information_near_the_largest_double_is_repaired_or_refused(read, numbers):
+    with pytest.raises((FormatError, MasatWarning), match=r"not finite|not positive definite"):
+        read(f"{EDGE}EDGE_SE2 0 1 1 2 3 {numbers}\n", indefinite="nearest")
+
+
 RIVAL = "the tags fit isam and toro"
 BARE = "have no information"
 # Dimension, vertices, edges, whether there are poses, and what the notes say.

@@ -39,8 +39,10 @@ def nearest_positive_definite(information: Floats) -> Floats:
     """
     bad = indefinite(information)
     fixed = information.copy()
-    values, vectors = np.linalg.eigh(information[bad])
-    values = np.maximum(values, _FLOOR * values[:, -1:])
-    product = (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
+    # Numbers near the largest double may overflow: the graph refuses what comes of them.
+    with np.errstate(over="ignore", invalid="ignore"):
+        values, vectors = np.linalg.eigh(information[bad])
+        values = np.maximum(values, _FLOOR * values[:, -1:])
+        product = (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
     fixed[bad] = 0.5 * product + 0.5 * product.transpose(0, 2, 1)
     return fixed

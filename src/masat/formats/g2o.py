@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from masat._core import format_lines
+from masat.errors import GraphError
 from masat.formats.table import Format, Kind, PoseText, Record
 from masat.graph import PoseGraph
 
@@ -18,6 +19,8 @@ _TAGS = {2: ("VERTEX_SE2", "EDGE_SE2"), 3: ("VERTEX_SE3:QUAT", "EDGE_SE3:QUAT")}
 
 def format_graph(graph: PoseGraph) -> bytes:
     """Return the graph as g2o text; its numbers read back as the same doubles."""
+    if graph.poses is None and len(graph.edges) == 0:
+        raise GraphError("a graph with neither poses nor edges has no text")
     vertex, edge = _TAGS[graph.dimension]
     upper = np.triu_indices(graph.dof)
     values = np.hstack([graph.measurements, graph.information[:, upper[0], upper[1]]])
