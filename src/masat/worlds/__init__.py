@@ -1,8 +1,29 @@
-"""Simulated worlds: the truth of a robot's walk, and noise for its measurements."""
+"""Simulated worlds: the truth of a robot's walk, and noise for its measurements.
+
+A world is one file here and one line of `WORLDS`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+from masat.graph import PoseGraph
+from masat.worlds.city import city
+from masat.worlds.garage import garage
+from masat.worlds.grid import grid
 from masat.worlds.manhattan import manhattan
 from masat.worlds.noise import perturb
+from masat.worlds.sphere import sphere
+from masat.worlds.torus import torus
 
-__all__ = ["manhattan", "perturb"]
+WORLDS: dict[str, Callable[..., PoseGraph]] = {
+    "manhattan": manhattan,
+    "city": city,
+    "sphere": sphere,
+    "torus": torus,
+    "grid": grid,
+    "garage": garage,
+}
+"""Called as world(nodes, edges, seed=0); each has sizes of its own if not told."""
+
+__all__ = ["WORLDS", "city", "garage", "grid", "manhattan", "perturb", "sphere", "torus"]

@@ -1,0 +1,92 @@
+"""`masat simulate`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from masat.cli import options, show
+from masat.errors import MasatError
+from masat.formats import write
+from masat.worlds import WORLDS, perturb
+
+
+def _sigmas(
+    context: click.Context, parameter: click.Parameter, texts: tuple[str, ...]
+) -> list[float]:
+    try:
+        return [float(number) for text in texts for number in text.split(",")]
+    except ValueError:
+        raise click.BadParameter("expected numbers, as in 0.1,0.1,0.05") from None
+
+
+@click.command(
+    epilog="Example:  masat simulate city --nodes 2000 --noise 0.1,0.1,0.05 -o city.g2o "
+    "--truth city_truth.g2o"
+)
+@click.argument("world", type=click.Choice(list(WORLDS)))
+@click.option("-o", "--output", "out", type=click.Path(path_type=Path), required=True)
+@click.option("--nodes", type=click.IntRange(min=2), help="[default: as the public graph]")
+@click.option("--edges", type=click.IntRange(min=1), help="[default: as dense as the public graph]")
+@click.option(
+    "--noise",
+    multiple=True,
+    callback=_sigmas,
+    metavar="SIGMA,...",
+    help="Standard deviations, metres and radians. 2D: x,y,theta. 3D: translation,rotation, or "
+    "x,y,z and the rotation vector's three. Without it, measurements are exact.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option(
+    "--truth",
+    type=click.Path(path_type=Path),
+    help="Where to write the graph without noise and with its true poses.",
+)
+@click.option(
+    "--plot", "picture", type=click.Path(path_type=Path), help="Where to draw the true map."
+)
+@options.output
+def simulate(
+    world: str,
+    out: Path,
+    nodes: int | None,
+    edges: int | None,
+    noise: list[float],
+    seed: int,
+    truth: Path | None,
+    picture: Path | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Simulate a robot's walk through WORLD and write what it measured, in the format of g2o.
+
+    2D: manhattan (like M3500), city (City10k). 3D: sphere (sphere2500), torus (torus3D), grid
+    (grid3D), garage (parking-garage).
+
+    OUT has measurements and no poses: a guess has to come from elsewhere. The true poses are
+    written to a file of their own with --truth.
+    """
+    options.check_writable(out)
+    options.check_writable(truth)
+    options.check_picture(picture)
+    targets = [target.absolute() for target in (out, truth, picture) if target is not None]
+    if len(set(targets)) < len(targets):
+        raise MasatError("OUT, --truth and --plot must be different files")
+    size = {name: n for name, n in (("nodes", nodes), ("edges", edges)) if n is not None}
+    exact = WORLDS[world](**size, seed=seed)
+    measured = perturb(exact, noise, seed=seed) if noise else exact
+    write(replace(measured, poses=None), out)
+    if truth is not None:
+        write(exact, truth)
+    if picture is not None:
+        from masat.plotting import plot
+
+        plot({f"{world}, truth": exact}, picture)
+    said = {"nodes": len(exact.ids), "edges": len(exact.edges)}
+    if as_json:
+        files = {"out": str(out), "truth": None if truth is None else str(truth)}
+        show.as_json({"world": world, **files, **said, "noise": noise, "seed": seed})
+    elif not quiet:
+        click.echo(f"{out}: {said['nodes']} nodes, {said['edges']} edges")

@@ -1,0 +1,89 @@
+import json
+import sys
+
+import numpy as np
+import pytest
+
+import masat
+from masat.cli import main
+from masat.worlds import WORLDS, perturb
+
+
+@pytest.fixture
+def simulate(monkeypatch, capsys, tmp_path):
+    """Run `masat simulate` in a folder of its own: exit code, standard output, standard error."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["masat", "simulate", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        out, err = capsys.readouterr()
+        return stop.value.code, out, err
+
+    return call
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_a_world_is_written_without_poses_and_its_truth_with_them(simulate, world):
+    sigma = "0.1,0.1,0.05" if world in ("manhattan", "city") else "0.1,0.05"
+    code, text, err = simulate(
+        world, "--nodes", 300, "--edges", 400, "--noise", sigma, "--seed", 3, "-o", "w.g2o",
+        "--truth", "truth.g2o",
+    )  # fmt: skip
+    assert (code, err) == (0, "")
+    assert text == "w.g2o: 300 nodes, 400 edges\n"
+    truth = WORLDS[world](300, 400, seed=3)
+    noisy = perturb(truth, [float(s) for s in sigma.split(",")], seed=3)
+    written, exact = masat.read("w.g2o"), masat.read("truth.g2o")
+    assert written.poses is None
+    assert np.array_equal(written.measurements, noisy.measurements)
+    assert np.array_equal(written.information, noisy.information)
+    assert np.array_equal(exact.poses, truth.poses)
+    assert np.array_equal(exact.measurements, truth.measurements)
+
+
+def test_without_noise_measurements_are_exact(simulate):
+    assert simulate("city", "-o", "city.g2o.gz", "--nodes", 500, "--quiet") == (0, "", "")
+    assert np.array_equal(masat.read("city.g2o.gz").measurements, WORLDS["city"](500).measurements)
+
+
+def test_noise_may_be_given_number_by_number(simulate):
+    simulate("grid", "-o", "a.g2o", "--nodes", 64, "--noise", "0.1,0.2")
+    simulate("grid", "-o", "b.g2o", "--nodes", 64, "--noise", "0.1", "--noise", "0.2")
+    assert masat.read("a.g2o").information[0, 0, 0] == pytest.approx(100)
+    one, other = (masat.read(f).measurements for f in ("a.g2o", "b.g2o"))
+    assert np.array_equal(one, other)
+
+
+def test_it_speaks_json_and_draws(simulate, tmp_path):
+    code, text, _ = simulate("torus", "-o", "t.g2o", "--nodes", 200, "--plot", "t.png", "--json")
+    assert code == 0
+    said = json.loads(text)
+    assert said["world"] == "torus"
+    assert said["nodes"] == 200
+    assert said["noise"] == []
+    assert (tmp_path / "t.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["mars", "-o", "w.g2o"], "mars"),
+        (["city"], "--output"),
+        (["city", "-o", "no/such/w.g2o"], "folder does not exist"),
+        (["city", "-o", "w.g2o", "--truth", "w.g2o"], "different files"),
+        (["city", "-o", "w.g2o", "--plot", "w.xyz"], "a picture ends in"),
+        (["city", "-o", "w.g2o", "--nodes", 100, "--edges", 50], "an edge less"),
+        (["city", "-o", "w.g2o", "--nodes", 100, "--edges", 9999], "loop closures"),
+        (["city", "-o", "w.g2o", "--nodes", 100, "--noise", "0.1"], "3 sigmas"),
+        (["city", "-o", "w.g2o", "--nodes", 100, "--noise", "a,b,c"], "expected numbers"),
+        (["grid", "-o", "w.g2o", "--nodes", 100, "--noise", "0.1,-1"], "not negative"),
+    ],
+)
+def test_bad_usage_is_code_2_and_writes_nothing(simulate, tmp_path, arguments, said):
+    code, out, err = simulate(*arguments)
+    assert (code, out) == (2, "")
+    assert said in err
+    assert "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
