@@ -14,6 +14,7 @@ from masat.optimizers.termination import (
     Report,
     StopReason,
     Termination,
+    length,
 )
 
 
@@ -42,7 +43,7 @@ def gauss_newton(
             return best._replace(reason=StopReason.DIVERGED)
         if chi2 < best.chi2:
             best = Outcome(poses, chi2, StopReason.MAX_ITERATIONS)
-        stop = report(Iteration(chi2, float(np.linalg.norm(step)), 0.0, perf_counter() - start))
+        stop = report(Iteration(chi2, length(step), 0.0, perf_counter() - start))
         if reason := termination.change(before, chi2):
             return Outcome(poses, chi2, reason)
         if stop is True:

@@ -15,6 +15,7 @@ from masat.optimizers.termination import (
     Report,
     StopReason,
     Termination,
+    length,
 )
 
 # Pose graphs are long chains: their softest modes lie many decades below the diagonal, so already a
@@ -50,7 +51,7 @@ def levenberg_marquardt(
             broken = equations.factorize(damping * scale)
             if broken < 0:
                 step = equations.solve()
-                predicted = float(step @ (rhs + damping * scale * step))
+                predicted = float((step * (rhs + damping * scale * step)).sum())
                 moved = equations.retract(poses, step)
                 after = equations.chi2(moved)
                 if after < chi2:
@@ -67,9 +68,7 @@ def levenberg_marquardt(
                 return Outcome(poses, chi2, StopReason.STALLED)
         gain = (chi2 - after) / predicted
         before, poses = chi2, moved
-        stop = report(
-            Iteration(after, float(np.linalg.norm(step)), damping, perf_counter() - start)
-        )
+        stop = report(Iteration(after, length(step), damping, perf_counter() - start))
         chi2 = equations.linearize(poses)
         # Heavy damping makes short steps anywhere: they prove nothing.
         if undisturbed and (reason := termination.change(before, chi2)):

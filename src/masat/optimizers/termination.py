@@ -102,3 +102,8 @@ class Outcome(NamedTuple):
     chi2: float
     reason: StopReason
     singular_node: int | None = None
+
+
+def length(step: Floats) -> float:
+    """Return the Euclidean norm; without BLAS, which wakes threads for so little."""
+    return float(np.sqrt(np.square(step).sum()))
