@@ -18,6 +18,8 @@ _COMMANDS = {
     "info": "Say what a pose graph is like and what is odd about it.",
     "compare": "Solve a pose graph from every start and compare.",
     "convert": "Convert a pose graph to g2o.",
+    "study": "Run and report the paper's evaluation, or a study of your own.",
+    "simulate": "Simulate a world and write its pose graph.",
     "demo": "Simulate a world, solve it from three starts, draw it.",
 }
 

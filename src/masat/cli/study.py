@@ -1,0 +1,199 @@
+"""`masat study`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import click
+
+from masat.cli import EXIT_NOT_CONVERGED, show
+from masat.study import Store, StudyError, load_design, parse_run, run_case, run_study
+from masat.study.design import STARTS, Design
+
+
+@click.group()
+def study() -> None:
+    """Run the paper's evaluation, or a design of your own, and report it.
+
+    DESIGN is 'paper', 'quick' or a TOML file with worlds, sigmas, instances and starts.
+    """
+
+
+@study.command(epilog="Example:  masat study run quick --store results")
+@click.argument("design")
+@click.option("--store", type=click.Path(path_type=Path), help="Folder of the results.")
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    default=os.cpu_count() or 1,
+    show_default="all cores",
+    help="Threads of this machine.",
+)
+@click.option("--scheduler", help="Dask scheduler to run on instead, such as tcp://host:8786.")
+@click.option("--only", metavar="RUN", help="Run WORLD/SIGMAS/INSTANCE/START alone, and tell.")
+@click.option("--retry", is_flag=True, help="Run failed runs again.")
+@click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
+def run(
+    design: str,
+    store: Path | None,
+    workers: int,
+    scheduler: str | None,
+    only: str | None,
+    retry: bool,
+    quiet: bool,
+) -> None:
+    """Run DESIGN; a study that was stopped goes on where it was.
+
+    With --only, one run is repeated by its name, such as City10k/.35,.35,.35/17/masat.
+    """
+    plan = load_design(design)
+    if only is not None:
+        _run_one(plan, only)
+        return
+    if store is None:
+        raise click.UsageError("name a folder for the results with --store")
+    with ExitStack() as stack:
+        results = stack.enter_context(Store(store, plan))
+        if retry:
+            results.forget_failed()
+        executor = stack.enter_context(_executor(workers, scheduler))
+        total = sum(len(plan.starts_of(case)) for case in plan.cases())
+        bar = stack.enter_context(_Bar(total, quiet=quiet))
+        try:
+            run_study(results, executor, progress=bar.advance)
+        except BaseException:
+            # Waiting cases are not worth waiting for; those in work are lost, and run again.
+            executor.shutdown(wait=False, cancel_futures=True)
+            raise
+    if not quiet:
+        _tell_status(store)
+        click.echo(f"Next: masat study report {store} -o REPORT")
+
+
+@study.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def status(folder: Path, as_json: bool) -> None:
+    """Say how far the study in FOLDER is."""
+    _tell_status(folder, as_json=as_json)
+
+
+@study.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("-o", "--output", "out", required=True, type=click.Path(path_type=Path))
+@click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
+def report(folder: Path, out: Path, quiet: bool) -> None:
+    """Write tables, figures and tests of the study in FOLDER to a folder."""
+    from masat.study.report import build_report
+
+    with Store(folder) as store:
+        written = build_report(store, out)
+    if not quiet:
+        click.echo(f"written: {written[0]}, {written[1].name}, and {len(written) - 2} tables")
+
+
+def _run_one(plan: Design, name: str) -> None:
+    case, start = parse_run(name)
+    if start not in STARTS:
+        raise StudyError(f"unknown start {start!r}; known: {', '.join(STARTS)}")
+    (trial,) = run_case(case, (start,), plan.max_iterations)
+    if trial.error:
+        raise StudyError(f"{name}: {trial.error}")
+    k = trial.success()
+    show.as_json(
+        {
+            "run": name,
+            "seed": case.seed,
+            "success": k is not None,
+            "iterations": k,
+            "chi2": trial.chi2,
+            "reduced_chi2": trial.chi2[-1 if k is None else k] / trial.degrees_of_freedom,
+            "start_seconds": trial.start_seconds,
+            "solve_seconds": trial.solve_seconds,
+        }
+    )
+    if k is None:
+        click.get_current_context().exit(EXIT_NOT_CONVERGED)
+
+
+def _executor(workers: int, scheduler: str | None) -> Executor:
+    if scheduler is None:
+        return ThreadPoolExecutor(workers)
+    try:
+        import distributed
+    except ImportError:
+        raise StudyError("--scheduler needs Dask: pip install 'masat[cluster]'") from None
+    try:
+        client: Any = distributed.Client(scheduler, timeout="20s")  # type: ignore[no-untyped-call]
+    except OSError as error:
+        raise StudyError(f"no scheduler answers at {scheduler}: {error}") from None
+    executor: Executor = client.get_executor(retries=3)
+    return executor
+
+
+def _tell_status(folder: Path, *, as_json: bool = False) -> None:
+    with Store(folder) as store:
+        wanted = sum(len(store.design.starts_of(case)) for case in store.design.cases())
+        trials = list(store.trials())
+    failed = [t for t in trials if t.error]
+    solved = sum(t.success() is not None for t in trials)
+    about: dict[str, Any] = {
+        "runs": wanted,
+        "done": len(trials),
+        "converged": solved,
+        "failed": len(failed),
+        "first_failure": f"{failed[0].case.name}: {failed[0].error}" if failed else None,
+    }
+    if as_json:
+        show.as_json(about)
+        return
+    click.echo(
+        f"{folder}: {len(trials)} of {wanted} runs done, {solved} converged, {len(failed)} failed"
+        + (f" ({about['first_failure']})" if failed else "")
+    )
+
+
+class _Bar:
+    """A progress bar with the time left, on a terminal."""
+
+    def __init__(self, total: int, *, quiet: bool) -> None:
+        self._total = total
+        self._silent = quiet or not sys.stderr.isatty()
+
+    def __enter__(self) -> _Bar:
+        if not self._silent:
+            from rich.console import Console
+            from rich.progress import (
+                BarColumn,
+                MofNCompleteColumn,
+                Progress,
+                TextColumn,
+                TimeRemainingColumn,
+            )
+
+            self._bar = Progress(
+                TextColumn("runs"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TextColumn("left"),
+                TimeRemainingColumn(elapsed_when_finished=True),
+                console=Console(stderr=True),
+                speed_estimate_period=300,
+            )
+            self._task = self._bar.add_task("", total=self._total)
+            self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if not self._silent:
+            self._bar.stop()
+
+    def advance(self, runs: int) -> None:
+        """Take note of runs that came in."""
+        if not self._silent:
+            self._bar.advance(self._task, runs)

@@ -1,0 +1,34 @@
+"""Intervals and tests for success rates."""
+
+from __future__ import annotations
+
+from math import comb, sqrt
+
+
+def wilson(successes: int, trials: int, z: float = 1.959963984540054) -> tuple[float, float]:
+    """Return Wilson's score interval of a rate; z is the normal quantile, here of 95 %.
+
+    Source: Wilson, Probable inference, the law of succession, and statistical inference, 1927.
+    """
+    if trials == 0:
+        return 0.0, 1.0
+    p = successes / trials
+    middle = p + z * z / (2 * trials)
+    half = z * sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
+    scale = 1 + z * z / trials
+    # At the ends the formula is exact but for rounding.
+    low = 0.0 if successes == 0 else (middle - half) / scale
+    high = 1.0 if successes == trials else (middle + half) / scale
+    return low, high
+
+
+def mcnemar(only_one: int, only_other: int) -> float:
+    """Return the exact two-sided p-value that two methods succeed equally often.
+
+    `only_one` and `only_other` count the instances on which just one of them succeeds. Source:
+    McNemar, Note on the sampling error of the difference between correlated proportions, 1947,
+    with the binomial distribution in place of its limit.
+    """
+    n, few = only_one + only_other, min(only_one, only_other)
+    tail = sum(comb(n, k) for k in range(few + 1))
+    return min(1.0, float(2 * tail / 2**n))
