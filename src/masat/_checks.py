@@ -42,6 +42,14 @@ def integers(name: str, values: ArrayLike) -> Ids:
     return np.array(whole, np.int64, order="C")
 
 
+def distinct(values: Ids) -> Ids:
+    """Return the distinct values, ascending; `np.unique` loads far more than it needs."""
+    ordered: Ids = np.sort(values, axis=None)
+    first = np.ones(len(ordered), np.bool_)
+    first[1:] = ordered[1:] != ordered[:-1]
+    return ordered[first]
+
+
 def ascending(nodes: Ids, poses: Floats | None) -> tuple[Ids, Floats | None]:
     rising = nodes[1:] > nodes[:-1]
     if rising.all():

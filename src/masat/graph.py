@@ -111,7 +111,7 @@ class PoseGraph:
             raise GraphError(f"{len(pairs)} edges but {len(z)} measurements")
         dimension = 2 if z.shape[1] == 3 else 3
 
-        nodes = np.unique(pairs) if ids is None else checks.integers("ids", ids)
+        nodes = checks.distinct(pairs) if ids is None else checks.integers("ids", ids)
         if nodes.ndim != 1:
             raise GraphError(f"ids must have shape (n,), got {nodes.shape}")
         if len(nodes) == 0:
@@ -212,7 +212,7 @@ class PoseGraph:
         first = np.flatnonzero(np.diff(np.maximum.accumulate(labels), prepend=-1))
         held = labels[self.index(self.fixed)]
         free = self.ids[np.delete(first, held)]
-        return checks.frozen(np.union1d(self.fixed, free))
+        return checks.frozen(np.sort(np.concatenate([self.fixed, free])))
 
     def _check_fixed(self) -> None:
         if self.poses is not None or len(self.fixed) < 2:

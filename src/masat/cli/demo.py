@@ -16,7 +16,7 @@ from masat.worlds import manhattan, perturb
 @click.option(
     "--noise",
     type=click.FloatRange(min=0),
-    default=0.15,
+    default=0.2,
     show_default=True,
     help="Standard deviation of each measured x, y (metres) and heading (radians).",
 )

@@ -28,7 +28,9 @@ def roots_of(graph: PoseGraph, root: int | None) -> tuple[Indices, Floats, list[
                     "keep their poses: leave the root out, or name one of them"
                 )
         else:
-            anchors = np.union1d(anchors[components[graph.index(anchors)] != component], [root])
+            anchors = np.sort(
+                np.append(anchors[components[graph.index(anchors)] != component], root)
+            )
     poses = np.tile(lie.identity(graph.dimension), (len(graph.ids), 1))
     places = graph.index(anchors)
     if graph.poses is not None:
