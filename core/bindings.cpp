@@ -202,8 +202,8 @@ Array<double> masat_placement(const Topology& graph, const Vector<std::int32_t>&
 
 std::unique_ptr<NormalEquations> make_equations(const Topology& graph,
                                                 const Table<double>& measurements,
-                                                const Stack& information,
-                                                const Vector<bool>& fixed) {
+                                                const Stack& information, const Vector<bool>& fixed,
+                                                int threads) {
   const std::size_t m = graph.edges().size();
   require(measurements.shape(0) == m && information.shape(0) == m, "one row an edge");
   require(fixed.shape(0) == static_cast<std::size_t>(graph.nodes()), "one flag a node");
@@ -212,8 +212,8 @@ std::unique_ptr<NormalEquations> make_equations(const Topology& graph,
       measurements.shape(1), [&]<class Group>(Group*) -> std::unique_ptr<NormalEquations> {
         require(information.shape(1) == Group::kDof && information.shape(2) == Group::kDof,
                 "information must be (m, d, d)");
-        return std::make_unique<NormalEquationsOf<Group>>(graph, measurements.data(),
-                                                          information.data(), span_of(fixed));
+        return std::make_unique<NormalEquationsOf<Group>>(
+            graph, measurements.data(), information.data(), span_of(fixed), threads);
       });
 }
 
@@ -344,7 +344,8 @@ NB_MODULE(_core, m) {
   m.def("place_by_masat", &masat_placement, "topology"_a, "roots"_a, "measurements"_a, "poses"_a);
 
   nb::class_<NormalEquations>(m, "NormalEquations")
-      .def(nb::new_(&make_equations), "topology"_a, "measurements"_a, "information"_a, "fixed"_a)
+      .def(nb::new_(&make_equations), "topology"_a, "measurements"_a, "information"_a, "fixed"_a,
+           "threads"_a = 1)
       .def_prop_ro("fill", &NormalEquations::fill)
       .def("free_nodes",
            [](const NormalEquations& e) {

@@ -42,9 +42,10 @@ class NormalEquationsOf final : public NormalEquations {
   using Square = typename Group::Square;
   using Tangent = typename Group::Tangent;
 
-  // `fixed` nodes keep their poses and have no place in the system.
+  // `fixed` nodes keep their poses and have no place in the system. The numbers do not depend on
+  // how many threads factorise.
   NormalEquationsOf(const Topology& graph, const double* measurements, const double* information,
-                    std::span<const bool> fixed)
+                    std::span<const bool> fixed, int threads)
       : edges_(graph.edges()), free_of_(graph.nodes(), -1), poses_(graph.nodes()) {
     for (std::int32_t node = 0; node < graph.nodes(); ++node) {
       if (fixed[node]) continue;
@@ -62,7 +63,7 @@ class NormalEquationsOf final : public NormalEquations {
     find_pattern(graph);
     values_.resize(pattern_.row.size() * kBlock);
     rhs_.resize(free_.size() * kDof);
-    cholesky_ = std::make_unique<BlockCholesky>(pattern_, kDof);
+    cholesky_ = std::make_unique<BlockCholesky>(pattern_, kDof, threads);
   }
 
   int dof() const override { return kDof; }

@@ -32,7 +32,12 @@ def place_by_masat(
 
 class NormalEquations:
     def __init__(
-        self, topology: Topology, measurements: Floats, information: Floats, fixed: Flags
+        self,
+        topology: Topology,
+        measurements: Floats,
+        information: Floats,
+        fixed: Flags,
+        threads: int = ...,
     ) -> None: ...
     @property
     def fill(self) -> int: ...

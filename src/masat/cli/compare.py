@@ -89,6 +89,7 @@ def compare(
     optimizer: str,
     max_iterations: int,
     tolerance: float,
+    threads: int,
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -101,6 +102,7 @@ def compare(
         quiet=quiet,
         max_iterations=max_iterations,
         relative_tolerance=tolerance,
+        threads=threads,
     )
     if picture is not None:
         from masat.plotting import plot

@@ -76,8 +76,15 @@ def start(command: F) -> F:
 
 
 def optimizer(command: F) -> F:
-    """Add --optimizer, --max-iterations and --tolerance."""
+    """Add --optimizer, --max-iterations, --tolerance and --threads."""
     for option in (
+        click.option(
+            "--threads",
+            type=click.IntRange(min=1),
+            default=1,
+            show_default=True,
+            help="Threads of the factorisation; the numbers do not depend on it.",
+        ),
         click.option(
             "--tolerance",
             type=click.FloatRange(min=0),

@@ -44,6 +44,7 @@ def solve(
     optimizer: str,
     max_iterations: int,
     tolerance: float,
+    threads: int,
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -67,6 +68,7 @@ def solve(
             options.OPTIMIZER_NAMES[optimizer],
             max_iterations=max_iterations,
             relative_tolerance=tolerance,
+            threads=threads,
             report=watch,
         )
     if out is not None:

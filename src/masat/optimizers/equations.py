@@ -12,11 +12,13 @@ from masat.graph import PoseGraph
 _EPSILON = float(np.finfo(np.float64).eps)
 
 
-def normal_equations(graph: PoseGraph, anchors: Ids) -> _core.NormalEquations:
+def normal_equations(graph: PoseGraph, anchors: Ids, threads: int = 1) -> _core.NormalEquations:
     """Analyse the system of a graph in which the anchors hold still."""
     held = np.zeros(len(graph.ids), np.bool_)
     held[graph.index(anchors)] = True
-    return _core.NormalEquations(graph.topology, graph.measurements, graph.information, held)
+    return _core.NormalEquations(
+        graph.topology, graph.measurements, graph.information, held, threads
+    )
 
 
 def edge_chi2(graph: PoseGraph) -> Floats:
