@@ -22,7 +22,7 @@ from masat.study import (
     run_study,
 )
 from masat.study import runner as runner_module
-from masat.study.statistics import mcnemar, wilson
+from masat.study.statistics import fisher, mcnemar, wilson
 
 WORLD = "manhattan:150:230"
 SMALL = Design(
@@ -367,6 +367,13 @@ def test_mcnemars_test_is_the_sign_test_of_the_disagreements():
     assert mcnemar(0, 5) == pytest.approx(2 / 32)
     assert mcnemar(1, 9) == pytest.approx(2 * (1 + 10) / 1024)
     assert mcnemar(9, 1) == mcnemar(1, 9)
+
+
+def test_fishers_test_of_the_tea_tasting_lady():
+    # The Design of Experiments, 1935: three of four cups right is no proof, four of four is.
+    assert fisher(3, 4, 1, 4) == pytest.approx(34 / 70)
+    assert fisher(4, 4, 0, 4) == pytest.approx(2 / 70)
+    assert fisher(49, 50, 50, 50) == 1
 
 
 # The report and the command line

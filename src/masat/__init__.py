@@ -1,5 +1,6 @@
 """Pose-graph SLAM without a guess: read, diagnose, initialise, optimise, plot."""
 
+from masat.covariance import covariances, relative_covariances
 from masat.diagnostics import Diagnosis, diagnose
 from masat.errors import (
     FormatError,
@@ -29,10 +30,12 @@ __all__ = [
     "PoseGraph",
     "Result",
     "StopReason",
+    "covariances",
     "diagnose",
     "initialize",
     "optimize",
     "plot",
     "read",
+    "relative_covariances",
     "write",
 ]

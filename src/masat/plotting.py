@@ -29,6 +29,7 @@ def plot(
     *,
     color_by_error: bool = False,
     columns: int = 3,
+    dpi: int = 120,
 ) -> Figure:
     """Draw the trajectory and the loop closures of graphs side by side.
 
@@ -41,7 +42,9 @@ def plot(
     color_by_error : bool
         Colour every edge by its chi2, on one logarithmic scale for all panels.
     columns : int
-        Panels in a row.
+        Panels in a row, each 5 inches wide.
+    dpi : int
+        Pixels an inch.
 
     Returns
     -------
@@ -74,7 +77,7 @@ def plot(
     if path is not None:
         path = Path(path)
         buffer = io.BytesIO()
-        figure.savefig(buffer, format=path.suffix[1:] or "png", dpi=120)
+        figure.savefig(buffer, format=path.suffix[1:] or "png", dpi=dpi)
         write_atomically(path, buffer.getvalue())
     return figure
 

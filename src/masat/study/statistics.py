@@ -32,3 +32,14 @@ def mcnemar(only_one: int, only_other: int) -> float:
     n, few = only_one + only_other, min(only_one, only_other)
     tail = sum(comb(n, k) for k in range(few + 1))
     return min(1.0, float(2 * tail / 2**n))
+
+
+def fisher(k: int, n: int, other_k: int, other_n: int) -> float:
+    """Return the exact two-sided p-value that two samples have the same rate.
+
+    k of n trials succeed in the one, other_k of other_n in the other. Source: Fisher, The logic of
+    inductive inference, 1935: the sum over all tables with these margins that are no more likely.
+    """
+    total = k + other_k
+    ways = [comb(n, i) * comb(other_n, total - i) for i in range(total + 1)]
+    return sum(w for w in ways if w <= ways[k]) / sum(ways)

@@ -28,7 +28,7 @@ def world_figures(cells: list[Cell], folder: Path, limit: int) -> list[Figure]:
 
     def draw(number: int, panels: dict[str, PoseGraph], caption: str, columns: int) -> None:
         path = folder / f"figure{number}.png"
-        plot(panels, path, columns=columns)
+        plot(panels, path, columns=columns, dpi=80 if columns < 4 else 60)
         figures.append(Figure(path, f"Figure {number}. {caption}"))
 
     def results(case: Case, starts: tuple[str, ...], title: str = "") -> dict[str, PoseGraph]:
@@ -160,6 +160,7 @@ def rate_figure(cells: list[Cell], starts: tuple[str, ...], path: Path) -> Figur
         ax.set_ylim(-0.03, 1.03)
         ax.set_title(world)
         ax.set_ylabel("success rate")
-    ax.legend()
+    handles, labels = ax.get_legend_handles_labels()
+    canvas.legend(handles, labels, loc="outside upper center", ncols=len(starts))
     canvas.savefig(path, dpi=110)
     return Figure(path, "Success rates with 95 % Wilson intervals, by the relative threshold.")

@@ -8,8 +8,10 @@ import numpy as np
 
 from masat.study.report.cells import Cell, paper_table
 from masat.study.report.document import Table
-from masat.study.statistics import mcnemar, wilson
+from masat.study.statistics import fisher, mcnemar, wilson
 from masat.study.trial import Trial
+
+PAPER_INSTANCES = 50
 
 
 def success_table(cells: list[Cell], starts: tuple[str, ...], *, relative: bool) -> Table:
@@ -34,6 +36,37 @@ def success_table(cells: list[Cell], starts: tuple[str, ...], *, relative: bool)
         rows.append(tuple(row))
     columns = ("world", "noise", *(c for s in starts for c in (s, "paper")))
     return Table(f"table1_{'relative' if relative else 'absolute'}", columns, tuple(rows))
+
+
+def paper_table_test(cells: list[Cell], start: str) -> Table:
+    """Return for each cell our rate and the paper's, and whether the two samples differ.
+
+    The paper's rate is one of 50 instances, as uncertain as ours: our interval holds it less often
+    than in 95 % of the cells even if the true rates are the same, and never where it is 1 and ours
+    is not. Fisher's exact test takes both samples for what they are.
+    """
+    paper, rows = paper_table(1), []
+    for cell in cells:
+        published = paper.get((cell.world, cell.sigma), {})
+        if start not in published:
+            continue
+        k, n = cell.rate(start)
+        low, high = wilson(k, n)
+        theirs = float(published[start])
+        p = fisher(k, n, round(PAPER_INSTANCES * theirs), PAPER_INSTANCES)
+        rows.append(
+            (
+                cell.world,
+                cell.level,
+                f"{k / n:.3f}",
+                f"[{low:.3f}, {high:.3f}]",
+                published[start],
+                "yes" if low <= theirs <= high else "no",
+                f"{p:.2g}" + (" *" if p < 0.05 else ""),
+            )
+        )
+    columns = ("world", "noise", start, "interval", "paper", "held", "Fisher's p")
+    return Table("agreement", columns, tuple(rows))
 
 
 def outside(cells: list[Cell], start: str) -> list[str]:

@@ -1,0 +1,71 @@
+"""Gauss-Newton of g2o against ours, from MASAT, on the instances of the paper's study.
+
+Run `python -m benchmarks.agreement Manhattan3500 .15,.15,.3 50`; needs g2o-python, whose wheel
+0.0.12 works with numpy < 2 only, and the data (MASAT_DATASETS).
+"""
+
+from __future__ import annotations
+
+import sys
+
+import g2o
+
+import masat
+from masat.study import Case, Trial, run_case
+from masat.study.trial import THRESHOLD, guess_of, instance
+
+_LIMIT = 50
+
+
+def chi2_of_g2o(graph: masat.PoseGraph) -> tuple[float, ...]:
+    """Return chi2 at the poses of a planar graph and after each iteration of g2o."""
+    solver = g2o.BlockSolverSE2(g2o.LinearSolverEigenSE2())
+    optimizer = g2o.SparseOptimizer()
+    optimizer.set_algorithm(g2o.OptimizationAlgorithmGaussNewton(solver))
+    assert graph.poses is not None
+    vertices = []
+    for k, pose in enumerate(graph.poses.tolist()):
+        vertex = g2o.VertexSE2()
+        vertex.set_id(k)
+        vertex.set_estimate(g2o.SE2(*pose))
+        vertex.set_fixed(k == 0)
+        optimizer.add_vertex(vertex)
+        vertices.append(vertex)
+    rows = zip(graph.edge_indices, graph.measurements.tolist(), graph.information, strict=True)
+    for (a, b), z, information in rows:
+        edge = g2o.EdgeSE2()
+        edge.set_vertex(0, vertices[a])
+        edge.set_vertex(1, vertices[b])
+        edge.set_measurement(g2o.SE2(*z))
+        edge.set_information(information)
+        optimizer.add_edge(edge)
+    optimizer.initialize_optimization()
+    optimizer.compute_active_errors()
+    chi2 = [optimizer.active_chi2()]
+    while len(chi2) <= _LIMIT:
+        optimizer.optimize(1)
+        optimizer.compute_active_errors()
+        chi2.append(optimizer.active_chi2())
+        if 0 <= chi2[-2] - chi2[-1] < THRESHOLD * chi2[-1]:
+            break
+    return tuple(chi2)
+
+
+def main(world: str, sigmas: str, instances: int) -> None:
+    """Print on how many instances both succeed, fail, and stop at the same iteration."""
+    found = []
+    for k in range(instances):
+        case = Case(world, tuple(float(s) for s in sigmas.split(",")), k)
+        (ours,) = run_case(case, ("masat",), _LIMIT)
+        theirs = Trial(case, "masat", chi2_of_g2o(guess_of(instance(case), "masat")), 1, 0.0, 0.0)
+        found.append((ours.success(), theirs.success()))
+    print(
+        f"{world} ({sigmas}), {instances} instances: ours converges on "
+        f"{sum(a is not None for a, _ in found)}, g2o on {sum(b is not None for _, b in found)}; "
+        f"the same outcome on {sum((a is None) == (b is None) for a, b in found)}, the same "
+        f"iteration on {sum(a == b for a, b in found)}"
+    )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2], int(sys.argv[3]))
