@@ -31,6 +31,9 @@ class NormalEquations {
   // Factorises H plus a diagonal; returns -1, or the node at which it is not positive definite.
   virtual std::int32_t factorize(std::span<const double> damping) = 0;
   virtual void solve(double* step) const = 0;
+  // Blocks of the inverse of what was factorised, by places among the free nodes, each row-major.
+  virtual void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
+                       double* out) const = 0;
   virtual void retract(const double* poses, const double* step, double* out) const = 0;
   virtual std::int64_t fill() const = 0;
 };
@@ -133,6 +136,11 @@ class NormalEquationsOf final : public NormalEquations {
   void solve(double* step) const override {
     std::copy(rhs_.begin(), rhs_.end(), step);
     cholesky_->solve({step, rhs_.size()});
+  }
+
+  void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
+               double* out) const override {
+    cholesky_->inverse(rows, columns, out);
   }
 
   void retract(const double* poses, const double* step, double* out) const override {

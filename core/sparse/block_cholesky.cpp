@@ -8,6 +8,7 @@
 #include "sparse/front_layout.hpp"
 #include "sparse/multifrontal.hpp"
 #include "sparse/ordering.hpp"
+#include "sparse/selected_inverse.hpp"
 
 namespace masat {
 
@@ -62,6 +63,11 @@ void BlockCholesky::solve(std::span<double> rhs) const {
     std::copy_n(solved, d, rhs.data() + std::int64_t{node} * d);
     solved += d;
   }
+}
+
+void BlockCholesky::inverse(std::span<const std::int32_t> rows,
+                            std::span<const std::int32_t> columns, double* out) const {
+  invert_blocks(impl_->layout, impl_->factor, rows, columns, out);
 }
 
 std::int64_t BlockCholesky::fill() const { return impl_->fill; }

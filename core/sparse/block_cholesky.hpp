@@ -26,6 +26,10 @@ class BlockCholesky {
   // Overwrites the right-hand side with the solution. One thread at a time.
   void solve(std::span<double> rhs) const;
 
+  // Writes the blocks of the inverse at (rows[k], columns[k]), each row-major.
+  void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
+               double* out) const;
+
   // Entries of the factor, and the floating-point operations to compute it; without what the
   // storage pads.
   std::int64_t fill() const;

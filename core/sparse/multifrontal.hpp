@@ -26,6 +26,9 @@ class Multifrontal {
   // Overwrites a right-hand side, in the elimination order, with the solution.
   void solve(std::span<double> x);
 
+  // A front of the factor; its contribution block is gone.
+  Front front(std::int32_t f) const { return layout_.front(f, factor_.data()); }
+
  private:
   double* contribution(std::int32_t f, int rank) const;
   void assemble_pivots(const Front& front, std::int32_t f, int rank, std::int32_t begin,

@@ -1,0 +1,236 @@
+#include "sparse/selected_inverse.hpp"
+
+#include <Eigen/Core>
+#include <algorithm>
+#include <functional>
+#include <utility>
+#include <vector>
+
+#include "sparse/aligned_buffer.hpp"
+
+namespace masat {
+namespace {
+
+using Matrix = Eigen::MatrixXd;
+using Square = Eigen::Map<Matrix>;
+using Factor = Eigen::Map<const Matrix, Eigen::Unaligned, Eigen::OuterStride<>>;
+using Rows = Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
+
+// A block of the inverse, by places in the elimination order.
+struct Wanted {
+  std::int32_t row, column;
+  double* out;
+};
+
+class Inverter {
+ public:
+  Inverter(const FrontLayout& layout, const Multifrontal& factor)
+      : layout_(layout), tree_(layout.tree()), factor_(factor), d_(layout.block_size()) {}
+
+  // The front that eliminates a place.
+  std::int32_t front_of(std::int32_t place) const {
+    const auto next = std::upper_bound(tree_.first.begin(), tree_.first.end(), place);
+    return static_cast<std::int32_t>(next - tree_.first.begin()) - 1;
+  }
+  std::int32_t front_of(const Wanted& w) const { return front_of(std::min(w.row, w.column)); }
+  bool in_pattern(const Wanted& w) const {
+    return position(front_of(w), std::max(w.row, w.column)) >= 0;
+  }
+
+  void invert_fronts(std::vector<Wanted> wanted);
+  void solve_columns(std::vector<Wanted> wanted);
+
+ private:
+  Factor l11(const Front& f) const { return {f.l11, f.pivots, f.pivots, {f.ld11}}; }
+  Factor l21(const Front& f) const { return {f.l21, f.rows, f.pivots, {f.ld21}}; }
+
+  // A place's block in a front, or -1.
+  std::int32_t position(std::int32_t f, std::int32_t place) const {
+    if (place < tree_.first[f + 1]) return place - tree_.first[f];
+    const std::span<const std::int32_t> rows = tree_.rows(f);
+    const auto row = std::lower_bound(rows.begin(), rows.end(), place);
+    if (row == rows.end() || *row != place) return -1;
+    return tree_.pivots(f) + static_cast<std::int32_t>(row - rows.begin());
+  }
+
+  void invert_front(std::int32_t f, const Square* parent, Square& inverse) const;
+  void climb(std::int32_t f, std::vector<bool>& seen, std::vector<std::int32_t>& path) const;
+  void forward(std::int32_t f, double* x, double* below) const;
+  void backward(std::int32_t f, double* x, double* below) const;
+
+  const FrontLayout& layout_;
+  const AssemblyTree& tree_;
+  const Multifrontal& factor_;
+  const int d_;
+};
+
+// Of the fronts that hold a wanted block and of their ancestors, the inverse's entries in the
+// front's pivots and rows, from the roots down: a front's rows lie in its parent.
+void Inverter::invert_fronts(std::vector<Wanted> wanted) {
+  std::sort(wanted.begin(), wanted.end(), [&](const Wanted& a, const Wanted& b) {
+    return std::min(a.row, a.column) > std::min(b.row, b.column);
+  });
+  std::vector<bool> needed(tree_.fronts(), false);
+  std::vector<std::int32_t> fronts;
+  for (const Wanted& w : wanted) climb(front_of(w), needed, fronts);
+  std::sort(fronts.begin(), fronts.end(), std::greater<>());
+
+  // A subtree is done before what lies beside it: those of a path are a stack.
+  std::vector<std::int64_t> start(tree_.fronts()), end(tree_.fronts());
+  std::int64_t highest = 0;
+  const auto width = [&](std::int32_t f) {
+    return layout_.shape(f).pivots + layout_.shape(f).rows;
+  };
+  for (const std::int32_t f : fronts) {
+    start[f] = tree_.parent[f] < 0 ? 0 : end[tree_.parent[f]];
+    end[f] = start[f] + std::int64_t{width(f)} * width(f);
+    highest = std::max(highest, end[f]);
+  }
+  const AlignedBuffer stack(highest);
+
+  auto next = wanted.begin();
+  for (const std::int32_t f : fronts) {
+    const std::int32_t p = tree_.parent[f];
+    Square inverse(stack.data() + start[f], width(f), width(f));
+    if (p < 0) {
+      invert_front(f, nullptr, inverse);
+    } else {
+      const Square above(stack.data() + start[p], width(p), width(p));
+      invert_front(f, &above, inverse);
+    }
+    for (; next != wanted.end() && front_of(*next) == f; ++next) {
+      Rows(next->out, d_, d_) =
+          inverse.block(position(f, next->row) * d_, position(f, next->column) * d_, d_, d_);
+    }
+  }
+}
+
+// With G = L21 L11^-1 and the inverse R in the rows, -R G lies left of R and
+// (L11 L11')^-1 + G' R G above that.
+void Inverter::invert_front(std::int32_t f, const Square* parent, Square& inverse) const {
+  const Front front = factor_.front(f);
+  const std::int32_t pivots = front.pivots, rows = front.rows;
+  if (parent != nullptr) {
+    const std::span<const Run> runs = layout_.runs(f);
+    for (const Run& to : runs) {
+      for (const Run& from : runs) {
+        inverse.block(pivots + from.source, pivots + to.source, from.length, to.length) =
+            parent->block(from.target, to.target, from.length, to.length);
+      }
+    }
+  }
+  Matrix x = Matrix::Identity(pivots, pivots);
+  l11(front).triangularView<Eigen::Lower>().solveInPlace(x);
+  Matrix own(pivots, pivots);
+  own.triangularView<Eigen::Lower>() = x.transpose() * x;
+  if (rows > 0) {
+    const Matrix g = l21(front) * x;
+    auto left = inverse.bottomLeftCorner(rows, pivots);
+    left.noalias() = -inverse.bottomRightCorner(rows, rows) * g;
+    own.triangularView<Eigen::Lower>() -= g.transpose() * left;
+    inverse.topRightCorner(pivots, rows) = left.transpose();
+  }
+  inverse.topLeftCorner(pivots, pivots) = own.selfadjointView<Eigen::Lower>();
+}
+
+// Appends a front and its ancestors, as far as they are new.
+void Inverter::climb(std::int32_t f, std::vector<bool>& seen,
+                     std::vector<std::int32_t>& path) const {
+  for (; f >= 0 && !seen[f]; f = tree_.parent[f]) {
+    seen[f] = true;
+    path.push_back(f);
+  }
+}
+
+void Inverter::solve_columns(std::vector<Wanted> wanted) {
+  // The node of a pair that more pairs share is the one to solve for.
+  std::vector<std::int32_t> uses(tree_.order.size(), 0);
+  for (const Wanted& w : wanted) {
+    ++uses[w.row];
+    ++uses[w.column];
+  }
+  const auto source = [&](const Wanted& w) {
+    return uses[w.row] > uses[w.column] ? w.row : w.column;
+  };
+  std::sort(wanted.begin(), wanted.end(),
+            [&](const Wanted& a, const Wanted& b) { return source(a) < source(b); });
+
+  std::int64_t widest = 0;
+  for (std::int32_t f = 0; f < tree_.fronts(); ++f) {
+    widest = std::max<std::int64_t>(widest, layout_.shape(f).rows);
+  }
+  const int block = d_ * d_;
+  std::vector<double> x(tree_.order.size() * block, 0.0), below(widest * d_);
+  std::vector<bool> up(tree_.fronts(), false), down(tree_.fronts(), false);
+  std::vector<std::int32_t> rising, falling;
+  for (auto next = wanted.begin(), end = next; next != wanted.end(); next = end) {
+    const std::int32_t column = source(*next);
+    rising.clear();
+    falling.clear();
+    climb(front_of(column), up, rising);
+    for (; end != wanted.end() && source(*end) == column; ++end) {
+      climb(front_of(end->row + end->column - column), down, falling);
+    }
+    std::sort(falling.begin(), falling.end(), std::greater<>());
+
+    Rows(&x[std::int64_t{column} * block], d_, d_).setIdentity();
+    for (const std::int32_t f : rising) forward(f, x.data(), below.data());
+    for (const std::int32_t f : falling) backward(f, x.data(), below.data());
+    for (; next != end; ++next) {
+      const bool transposed = next->column != column;
+      const Rows solved(&x[std::int64_t{transposed ? next->column : next->row} * block], d_, d_);
+      if (transposed) {
+        Rows(next->out, d_, d_) = solved.transpose();
+      } else {
+        Rows(next->out, d_, d_) = solved;
+      }
+    }
+    for (const auto& [path, seen] : {std::pair{&rising, &up}, std::pair{&falling, &down}}) {
+      for (const std::int32_t f : *path) {
+        (*seen)[f] = false;
+        std::fill(&x[layout_.first(f) * d_], &x[layout_.first(f) * d_] + tree_.pivots(f) * block,
+                  0.0);
+      }
+    }
+  }
+}
+
+void Inverter::forward(std::int32_t f, double* x, double* below) const {
+  const Front front = factor_.front(f);
+  Rows own(x + layout_.first(f) * d_, front.pivots, d_);
+  l11(front).triangularView<Eigen::Lower>().solveInPlace(own);
+  Rows(below, front.rows, d_).noalias() = l21(front) * own;
+  for (const std::int32_t row : tree_.rows(f)) {
+    double* const to = x + std::int64_t{row} * d_ * d_;
+    for (int i = 0; i < d_ * d_; ++i) to[i] -= *below++;
+  }
+}
+
+void Inverter::backward(std::int32_t f, double* x, double* below) const {
+  const Front front = factor_.front(f);
+  Rows own(x + layout_.first(f) * d_, front.pivots, d_);
+  double* to = below;
+  for (const std::int32_t row : tree_.rows(f)) {
+    to = std::copy_n(x + std::int64_t{row} * d_ * d_, d_ * d_, to);
+  }
+  own.noalias() -= l21(front).transpose() * Rows(below, front.rows, d_);
+  l11(front).transpose().triangularView<Eigen::Upper>().solveInPlace(own);
+}
+
+}  // namespace
+
+void invert_blocks(const FrontLayout& layout, const Multifrontal& factor,
+                   std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
+                   double* out) {
+  Inverter inverter(layout, factor);
+  const std::vector<std::int32_t>& place = layout.tree().place;
+  std::vector<Wanted> inside, outside;
+  for (std::size_t k = 0; k < rows.size(); ++k, out += layout.block_size() * layout.block_size()) {
+    const Wanted wanted{place[rows[k]], place[columns[k]], out};
+    (inverter.in_pattern(wanted) ? inside : outside).push_back(wanted);
+  }
+  if (!inside.empty()) inverter.invert_fronts(std::move(inside));
+  if (!outside.empty()) inverter.solve_columns(std::move(outside));
+}
+
+}  // namespace masat
