@@ -1,6 +1,5 @@
 // The Python face of the core, described for readers in src/masat/_core.pyi.
 #include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/unique_ptr.h>
@@ -8,6 +7,7 @@
 
 #include <Eigen/Cholesky>
 
+#include "arrays.hpp"
 #include "graph/topology.hpp"
 #include "initializers/placement.hpp"
 #include "lie/se2.hpp"
@@ -20,43 +20,6 @@ using namespace nb::literals;
 
 namespace masat {
 namespace {
-
-template <class T>
-using Vector = nb::ndarray<const T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-template <class T>
-using Table = nb::ndarray<const T, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Stack = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
-template <class T>
-using Array = nb::ndarray<nb::numpy, T>;
-
-// Hands the vector's memory to NumPy.
-template <class T>
-Array<T> as_array(std::vector<T>&& values, std::initializer_list<std::size_t> shape) {
-  auto* const owned = new std::vector<T>(std::move(values));
-  nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
-  return Array<T>(owned->data(), shape, owner);
-}
-template <class T>
-Array<T> as_array(std::vector<T>&& values) {
-  const std::size_t size = values.size();
-  return as_array(std::move(values), {size});
-}
-
-void require(bool condition, const char* what) {
-  if (!condition) throw std::invalid_argument(what);
-}
-
-template <class T>
-std::span<const T> span_of(const Vector<T>& v) {
-  return {v.data(), v.shape(0)};
-}
-
-// Calls f with a null pointer of the group whose poses have that many numbers.
-template <class F>
-auto with_group(std::size_t pose_size, F f) {
-  require(pose_size == SE2::kSize || pose_size == SE3::kSize, "poses have 3 or 7 numbers");
-  return pose_size == SE2::kSize ? f(static_cast<SE2*>(nullptr)) : f(static_cast<SE3*>(nullptr));
-}
 
 // Runs f(group, i) for each of `rows` rows of poses without the interpreter lock.
 template <class F>
