@@ -144,6 +144,14 @@ def test_success_by_either_threshold(chi2, relative, absolute):
     assert trial(chi2).success(relative=False) == absolute
 
 
+@pytest.mark.parametrize(
+    ("chi2", "iteration"),
+    [([100, 50, 50 + 1e-9], 2), ([1e-8, 3e-9], 1), ([100, 99], None), ([5], None)],
+)
+def test_a_real_graph_has_settled_where_chi2_only_flickers(chi2, iteration):
+    assert trial(chi2).settled() == iteration
+
+
 # Running
 
 

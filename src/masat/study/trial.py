@@ -58,6 +58,16 @@ class Trial:
                 return k
         return None
 
+    def settled(self) -> int | None:
+        """Return the iteration at which chi2 stood still up or down, or None.
+
+        For real graphs, some of which fit exactly: chi2 then flickers by rounding, and may rise.
+        """
+        for k in range(1, len(self.chi2)):
+            if abs(self.chi2[k - 1] - self.chi2[k]) < THRESHOLD * max(1.0, self.chi2[k]):
+                return k
+        return None
+
 
 def instance(case: Case) -> PoseGraph:
     """Return the noisy graph of a case with the poses of the truth; a real graph as it is."""

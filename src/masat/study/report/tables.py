@@ -150,7 +150,7 @@ def real_table(trials: Iterable[Trial]) -> Table:
         if trial.error:
             rows.append((trial.case.world, trial.start, trial.error, *("-",) * 5))
             continue
-        k = trial.success()
+        k = trial.settled()
         best = trial.chi2[k] if k is not None else min(trial.chi2)
         rows.append(
             (
