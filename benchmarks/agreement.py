@@ -1,16 +1,15 @@
 """Gauss-Newton of g2o against ours, from MASAT, on the instances of the paper's study.
 
-Run `python -m benchmarks.agreement Manhattan3500 .15,.15,.3 50`; needs g2o-python, whose wheel
-0.0.12 works with numpy < 2 only, and the data (MASAT_DATASETS).
+Run `python -m benchmarks.agreement Manhattan3500 .15,.15,.3 50`; needs the extra `bench`, and
+the public graphs (MASAT_DATASETS).
 """
 
 from __future__ import annotations
 
 import sys
 
-import g2o
-
 import masat
+from benchmarks.with_g2o import built
 from masat.study import Case, Trial, run_case
 from masat.study.trial import THRESHOLD, guess_of, instance
 
@@ -19,26 +18,7 @@ _LIMIT = 50
 
 def chi2_of_g2o(graph: masat.PoseGraph) -> tuple[float, ...]:
     """Return chi2 at the poses of a planar graph and after each iteration of g2o."""
-    solver = g2o.BlockSolverSE2(g2o.LinearSolverEigenSE2())
-    optimizer = g2o.SparseOptimizer()
-    optimizer.set_algorithm(g2o.OptimizationAlgorithmGaussNewton(solver))
-    assert graph.poses is not None
-    vertices = []
-    for k, pose in enumerate(graph.poses.tolist()):
-        vertex = g2o.VertexSE2()
-        vertex.set_id(k)
-        vertex.set_estimate(g2o.SE2(*pose))
-        vertex.set_fixed(k == 0)
-        optimizer.add_vertex(vertex)
-        vertices.append(vertex)
-    rows = zip(graph.edge_indices, graph.measurements.tolist(), graph.information, strict=True)
-    for (a, b), z, information in rows:
-        edge = g2o.EdgeSE2()
-        edge.set_vertex(0, vertices[a])
-        edge.set_vertex(1, vertices[b])
-        edge.set_measurement(g2o.SE2(*z))
-        edge.set_information(information)
-        optimizer.add_edge(edge)
+    optimizer = built(graph, "GN")
     optimizer.initialize_optimization()
     optimizer.compute_active_errors()
     chi2 = [optimizer.active_chi2()]
