@@ -359,6 +359,18 @@ NB_MODULE(_core, m) {
              return as_array(std::move(out));
            })
       .def(
+          "multiply",
+          [](const NormalEquations& e, const Vector<double>& v) {
+            require(v.shape(0) == unknowns(e), "the vector must have an entry an unknown");
+            std::vector<double> out(unknowns(e));
+            {
+              nb::gil_scoped_release release;
+              e.multiply(v.data(), out.data());
+            }
+            return as_array(std::move(out));
+          },
+          "v"_a)
+      .def(
           "factorize",
           [](NormalEquations& e, const Vector<double>& damping) {
             require(damping.shape(0) == unknowns(e), "damping must have an entry an unknown");

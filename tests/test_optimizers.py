@@ -89,6 +89,7 @@ def test_gradient_and_system_agree_with_finite_differences(dimension, seed):
     assert np.isclose(chi2, np.einsum("ki,kij,kj->", e, w, e))
     assert np.allclose(equations.rhs(), rhs, rtol=1e-6, atol=1e-6 * np.abs(rhs).max())
     assert np.allclose(equations.diagonal(), np.diag(dense), rtol=1e-6)
+    assert np.allclose(equations.multiply(rhs), dense @ rhs, rtol=1e-6)
     damping = np.linspace(0, 3, unknowns)
     assert equations.factorize(damping) == -1
     expected = np.linalg.solve(dense + np.diag(damping), rhs)
@@ -281,9 +282,10 @@ def test_tolerances_stop_as_they_say():
     assert gradient.reason is StopReason.GRADIENT
 
 
-def test_levenberg_marquardt_never_climbs():
+@pytest.mark.parametrize("method", ["levenberg_marquardt", "dogleg"])
+def test_a_damped_method_never_climbs(method):
     graph = masat.initialize(perturb(manhattan(), (0.3, 0.3, 0.3), seed=1), "odometry")
-    result = masat.optimize(graph, max_iterations=30)
+    result = masat.optimize(graph, method, max_iterations=30)
     costs = [result.initial_chi2, *(h.chi2 for h in result.history)]
     assert (np.diff(costs) < 0).all()
 

@@ -28,6 +28,7 @@ class NormalEquations {
   virtual double linearize(const double* poses) = 0;
   virtual std::span<const double> rhs() const = 0;
   virtual void diagonal(double* out) const = 0;
+  virtual void multiply(const double* v, double* out) const = 0;  // H v
   // Factorises H plus a diagonal; returns -1, or the node at which it is not positive definite.
   virtual std::int32_t factorize(std::span<const double> damping) = 0;
   virtual void solve(double* step) const = 0;
@@ -125,6 +126,21 @@ class NormalEquationsOf final : public NormalEquations {
     for (std::size_t c = 0; c < free_.size(); ++c) {
       const double* const values = values_.data() + pattern_.start[c] * kBlock;
       for (int i = 0; i < kDof; ++i) *out++ = values[i * (kDof + 1)];
+    }
+  }
+
+  void multiply(const double* v, double* out) const override {
+    using In = Eigen::Map<const Tangent>;
+    using Out = Eigen::Map<Tangent>;
+    std::fill(out, out + rhs_.size(), 0.0);
+    for (std::int32_t c = 0; c < pattern_.columns(); ++c) {
+      const std::int64_t column = std::int64_t{kDof} * c;
+      for (std::int64_t k = pattern_.start[c]; k < pattern_.start[c + 1]; ++k) {
+        const Eigen::Map<const Square> h(&values_[k * kBlock]);
+        const std::int64_t row = std::int64_t{kDof} * pattern_.row[k];
+        Out(out + row).noalias() += h * In(v + column);
+        if (row != column) Out(out + column).noalias() += h.transpose() * In(v + row);
+      }
     }
   }
 

@@ -15,7 +15,7 @@ from masat.initializers import INITIALIZERS
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-OPTIMIZER_NAMES = {"gn": "gauss_newton", "lm": "levenberg_marquardt"}
+OPTIMIZER_NAMES = {"gn": "gauss_newton", "lm": "levenberg_marquardt", "dogleg": "dogleg"}
 
 
 def graph_file(command: F) -> F:
@@ -100,7 +100,7 @@ def optimizer(command: F) -> F:
             type=click.Choice(list(OPTIMIZER_NAMES)),
             default="lm",
             show_default=True,
-            help="Levenberg-Marquardt or Gauss-Newton.",
+            help="Levenberg-Marquardt, Gauss-Newton or Powell's dogleg.",
         ),
     ):
         command = option(command)

@@ -11,6 +11,7 @@ from masat._core import NormalEquations
 from masat.arrays import Floats
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
+from masat.optimizers.dogleg import dogleg
 from masat.optimizers.equations import normal_equations, rounding_level, why_singular
 from masat.optimizers.gauss_newton import gauss_newton
 from masat.optimizers.levenberg_marquardt import levenberg_marquardt
@@ -38,6 +39,7 @@ class Optimizer(Protocol):
 OPTIMIZERS: dict[str, Optimizer] = {
     "gauss_newton": gauss_newton,
     "levenberg_marquardt": levenberg_marquardt,
+    "dogleg": dogleg,
 }
 
 
