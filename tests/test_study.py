@@ -22,6 +22,7 @@ from masat.study import (
     run_study,
 )
 from masat.study import runner as runner_module
+from masat.study.cluster import on_cluster
 from masat.study.statistics import fisher, mcnemar, wilson
 
 WORLD = "manhattan:150:230"
@@ -330,7 +331,8 @@ def test_a_cluster_that_loses_a_worker_loses_and_doubles_nothing(tmp_path):
             if len(came_in) == 6:
                 __import__("os").kill(victim, 9)
 
-        run_study(store, client.get_executor(retries=5), progress=kill_one)
+        with ThreadPoolExecutor(4) as executor:
+            run_study(store, executor, progress=kill_one, run=on_cluster(client))
         assert keys(store) == wanted(design)
         assert sum(came_in) == len(wanted(design))
         for kept in list(store.trials())[::17]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,7 +13,8 @@ from typing import Any
 import click
 
 from masat.cli import EXIT_NOT_CONVERGED, show
-from masat.study import Store, StudyError, load_design, parse_run, run_case, run_study
+from masat.study import Store, StudyError, Trial, load_design, parse_run, run_case, run_study
+from masat.study.cluster import on_cluster
 from masat.study.design import STARTS, Design
 
 
@@ -61,11 +63,12 @@ def run(
         results = stack.enter_context(Store(store, plan))
         if retry:
             results.forget_failed()
-        executor = stack.enter_context(_executor(workers, scheduler))
+        executor, run_one = _engine(workers, scheduler)
+        stack.enter_context(executor)
         total = sum(len(plan.starts_of(case)) for case in plan.cases())
         bar = stack.enter_context(_Bar(total, quiet=quiet))
         try:
-            run_study(results, executor, progress=bar.advance)
+            run_study(results, executor, progress=bar.advance, run=run_one)
         except BaseException:
             # Waiting cases are not worth waiting for; those in work are lost, and run again.
             executor.shutdown(wait=False, cancel_futures=True)
@@ -121,9 +124,10 @@ def _run_one(plan: Design, name: str) -> None:
         click.get_current_context().exit(EXIT_NOT_CONVERGED)
 
 
-def _executor(workers: int, scheduler: str | None) -> Executor:
+def _engine(workers: int, scheduler: str | None) -> tuple[Executor, Callable[..., list[Trial]]]:
+    """Return threads, and what each runs: a case here, or one on the cluster."""
     if scheduler is None:
-        return ThreadPoolExecutor(workers)
+        return ThreadPoolExecutor(workers), run_case
     try:
         import distributed
     except ImportError:
@@ -132,8 +136,9 @@ def _executor(workers: int, scheduler: str | None) -> Executor:
         client: Any = distributed.Client(scheduler, timeout="20s")  # type: ignore[no-untyped-call]
     except OSError as error:
         raise StudyError(f"no scheduler answers at {scheduler}: {error}") from None
-    executor: Executor = client.get_executor(retries=3)
-    return executor
+    # Twice as many cases at hand as the cluster runs at a time.
+    waiting = 2 * max(1, sum(client.nthreads().values()))
+    return ThreadPoolExecutor(waiting), on_cluster(client)
 
 
 def _tell_status(folder: Path, *, as_json: bool = False) -> None:

@@ -28,12 +28,11 @@ def run_study(
     store : Store
         Filled case by case; a study that is killed loses only the cases in work.
     executor : concurrent.futures.Executor
-        Threads do: the core releases the interpreter's lock. A Dask client's `get_executor()`
-        spreads the study over a cluster.
+        Threads do: the core releases the interpreter's lock.
     progress : callable, optional
         Called with the number of runs, first of those found in the store, then of each case.
     run : callable
-        Runs a case; for tests.
+        Runs a case; `masat.study.cluster.on_cluster` has a cluster do it.
     """
     # A world that cannot be had ends the study before it begins.
     for world in store.design.worlds:
