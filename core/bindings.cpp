@@ -5,9 +5,8 @@
 #include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
-#include <Eigen/Cholesky>
-
 #include "arrays.hpp"
+#include "graph/information.hpp"
 #include "graph/topology.hpp"
 #include "initializers/placement.hpp"
 #include "lie/se2.hpp"
@@ -64,20 +63,6 @@ Array<double> local(const Table<double>& a, const Table<double>& b) {
     Eigen::Map<typename Group::Tangent>{out} =
         error(Group{}, Group::load(a.data() + i * k), Group::load(b.data() + i * k));
   });
-}
-
-// Indices of the matrices that are not positive definite.
-template <int Dof>
-std::vector<std::int64_t> not_positive_definite(const double* matrices, std::size_t count) {
-  using Square = Eigen::Matrix<double, Dof, Dof>;
-  std::vector<std::int64_t> bad;
-  for (std::size_t k = 0; k < count; ++k) {
-    const Eigen::LLT<Square> llt(Eigen::Map<const Square>(matrices + k * Dof * Dof));
-    // Where elimination overflows, a pivot can be no number, which Eigen lets pass.
-    const bool positive = (llt.matrixLLT().diagonal().array() > 0).all();
-    if (llt.info() != Eigen::Success || !positive) bad.push_back(static_cast<std::int64_t>(k));
-  }
-  return bad;
 }
 
 Array<std::int64_t> indefinite(const Stack& matrices) {
