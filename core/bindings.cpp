@@ -1,9 +1,12 @@
 // The Python face of the core, described for readers in src/masat/_core.pyi.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
+
+#include <algorithm>
 
 #include "arrays.hpp"
 #include "graph/information.hpp"
@@ -12,6 +15,7 @@
 #include "lie/se2.hpp"
 #include "lie/se3.hpp"
 #include "optimizers/normal_equations.hpp"
+#include "sparse/elimination.hpp"
 #include "text/records.hpp"
 
 namespace nb = nanobind;
@@ -148,20 +152,51 @@ Array<double> masat_placement(const Topology& graph, const Vector<std::int32_t>&
   });
 }
 
+std::shared_ptr<Elimination> make_elimination(const Topology& graph, const Vector<bool>& held,
+                                              const Vector<std::int32_t>& order) {
+  require(held.shape(0) == static_cast<std::size_t>(graph.nodes()), "one flag a node");
+  std::vector<bool> seen(order.shape(0));
+  for (const std::int32_t k : span_of(order)) {
+    require(k >= 0 && static_cast<std::size_t>(k) < seen.size() && !seen[k],
+            "the order must be a permutation");
+    seen[k] = true;
+  }
+  const auto free = std::count(held.data(), held.data() + held.shape(0), false);
+  require(seen.empty() || static_cast<std::ptrdiff_t>(seen.size()) == free,
+          "the order must name each free node once");
+  nb::gil_scoped_release release;
+  return std::make_shared<Elimination>(graph, span_of(held), span_of(order));
+}
+
+// Compressed rows: the neighbours of each free node, by their places.
+nb::tuple adjacency_of(const Elimination& elimination) {
+  std::vector<std::int64_t> start{0};
+  std::vector<std::int32_t> neighbours;
+  for (std::int32_t k = 0; k < elimination.adjacency().nodes(); ++k) {
+    for (const auto& neighbour : elimination.adjacency().neighbours(k)) {
+      neighbours.push_back(neighbour.node);
+    }
+    start.push_back(static_cast<std::int64_t>(neighbours.size()));
+  }
+  return nb::make_tuple(as_array(std::move(start)), as_array(std::move(neighbours)));
+}
+
 std::unique_ptr<NormalEquations> make_equations(const Topology& graph,
+                                                std::shared_ptr<Elimination> elimination,
                                                 const Table<double>& measurements,
-                                                const Stack& information, const Vector<bool>& fixed,
-                                                int threads) {
+                                                const Stack& information, int threads) {
   const std::size_t m = graph.edges().size();
   require(measurements.shape(0) == m && information.shape(0) == m, "one row an edge");
-  require(fixed.shape(0) == static_cast<std::size_t>(graph.nodes()), "one flag a node");
+  require(elimination->nodes() == graph.nodes() &&
+              elimination->edges() == static_cast<std::int64_t>(m),
+          "the elimination must be of the same graph");
   nb::gil_scoped_release release;
   return with_group(
       measurements.shape(1), [&]<class Group>(Group*) -> std::unique_ptr<NormalEquations> {
         require(information.shape(1) == Group::kDof && information.shape(2) == Group::kDof,
                 "information must be (m, d, d)");
         return std::make_unique<NormalEquationsOf<Group>>(
-            graph, measurements.data(), information.data(), span_of(fixed), threads);
+            graph, std::move(elimination), measurements.data(), information.data(), threads);
       });
 }
 
@@ -307,15 +342,20 @@ NB_MODULE(_core, m) {
         "measurements"_a, "poses"_a);
   m.def("place_by_masat", &masat_placement, "topology"_a, "roots"_a, "measurements"_a, "poses"_a);
 
-  nb::class_<NormalEquations>(m, "NormalEquations")
-      .def(nb::new_(&make_equations), "topology"_a, "measurements"_a, "information"_a, "fixed"_a,
-           "threads"_a = 1)
-      .def_prop_ro("fill", &NormalEquations::fill)
+  nb::class_<Elimination>(m, "Elimination")
+      .def(nb::new_(&make_elimination), "topology"_a, "held"_a, "order"_a)
       .def("free_nodes",
-           [](const NormalEquations& e) {
+           [](const Elimination& e) {
              return as_array(
                  std::vector<std::int32_t>(e.free_nodes().begin(), e.free_nodes().end()));
            })
+      .def("adjacency", &adjacency_of)
+      .def("fill", &Elimination::fill, "block_size"_a)
+      .def("operations", &Elimination::operations, "block_size"_a);
+
+  nb::class_<NormalEquations>(m, "NormalEquations")
+      .def(nb::new_(&make_equations), "topology"_a, "elimination"_a, "measurements"_a,
+           "information"_a, "threads"_a = 1)
       .def(
           "chi2",
           [](NormalEquations& e, const Table<double>& poses) {

@@ -3,14 +3,15 @@ import pytest
 from random_graphs import random_graph, random_poses
 
 from masat import PoseGraph, lie
-from masat._core import NormalEquations
+from masat._core import Elimination, NormalEquations
 from masat.worlds import perturb, sphere
 
 
 def equations_of(graph, threads=1):
     held = np.zeros(len(graph.ids), bool)
     held[0] = True
-    return NormalEquations(graph.topology, graph.measurements, graph.information, held, threads)
+    order = Elimination(graph.topology, held, np.empty(0, np.int32))
+    return NormalEquations(graph.topology, order, graph.measurements, graph.information, threads)
 
 
 def dense(graph, poses):
@@ -95,4 +96,4 @@ def test_fill_counts_the_entries_of_the_factor():
     # A chain of 4 nodes, one held: three 3x3 blocks on the diagonal, two beside it.
     poses = random_poses(2, 4, np.random.default_rng(0))
     chain = PoseGraph.from_arrays([(0, 1), (1, 2), (2, 3)], [(1, 0, 0)] * 3, poses=poses)
-    assert equations_of(chain).fill == 3 * 6 + 2 * 9
+    assert chain.elimination.fill(3) == 3 * 6 + 2 * 9

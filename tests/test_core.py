@@ -8,8 +8,15 @@ from masat import _core
 FLOATS = {2: np.zeros((2, 3)), 3: np.tile([0, 0, 0, 0, 0, 0, 1.0], (2, 1))}
 
 
+EDGE = np.array([[0, 1]], np.int32)
+
+
 def topology():
-    return _core.Topology(2, np.array([[0, 1]], np.int32))
+    return _core.Topology(2, EDGE)
+
+
+def elimination(held, order=()):
+    return _core.Elimination(topology(), held, np.array(order, np.int32))
 
 
 @pytest.mark.parametrize("edge", [[0, 2], [-1, 0]])
@@ -36,14 +43,25 @@ def test_arrays_that_do_not_fit_are_refused():
         _core.place_along_tree(topology(), np.array([0], np.int32), np.ones(3, bool), a[:1], a)
 
 
+def test_an_elimination_refuses_what_does_not_fit():
+    with pytest.raises(ValueError, match="one flag a node"):
+        elimination(np.zeros(1, bool))
+    with pytest.raises(ValueError, match="each free node once"):
+        elimination(np.zeros(2, bool), [0])
+    with pytest.raises(ValueError, match="permutation"):
+        elimination(np.zeros(2, bool), [1, 1])
+    with pytest.raises(ValueError, match="permutation"):
+        elimination(np.zeros(2, bool), [0, 2])
+
+
 def test_equations_refuse_what_does_not_fit():
     a = FLOATS[2]
     held = np.array([True, False])
     with pytest.raises(ValueError, match=r"\(m, d, d\)"):
-        _core.NormalEquations(topology(), a[:1], np.zeros((1, 6, 6)), held)
-    with pytest.raises(ValueError, match="one flag a node"):
-        _core.NormalEquations(topology(), a[:1], np.eye(3)[None], held[:1])
-    equations = _core.NormalEquations(topology(), a[:1], np.eye(3)[None], held)
+        _core.NormalEquations(topology(), elimination(held), a[:1], np.zeros((1, 6, 6)))
+    with pytest.raises(ValueError, match="same graph"):
+        _core.NormalEquations(_core.Topology(3, EDGE), elimination(held), a[:1], np.eye(3)[None])
+    equations = _core.NormalEquations(topology(), elimination(held), a[:1], np.eye(3)[None])
     with pytest.raises(ValueError, match="poses must be"):
         equations.chi2(FLOATS[3])
     with pytest.raises(ValueError, match="damping"):
@@ -53,7 +71,8 @@ def test_equations_refuse_what_does_not_fit():
 
 
 def test_equations_without_unknowns_are_solved_by_nothing():
-    equations = _core.NormalEquations(topology(), FLOATS[2][:1], np.eye(3)[None], np.ones(2, bool))
+    nothing = elimination(np.ones(2, bool))
+    equations = _core.NormalEquations(topology(), nothing, FLOATS[2][:1], np.eye(3)[None])
     assert equations.linearize(FLOATS[2]) == 0
     assert equations.factorize(np.zeros(0)) == -1
     assert equations.solve().shape == (0,)
@@ -68,9 +87,8 @@ def test_a_whole_optimisation_runs(dimension):
     edges = np.array([[0, 1], [1, 0]], np.int32)
     graph = _core.Topology(2, edges)
     placed = _core.place_by_masat(graph, np.array([0], np.int32), z, poses)
-    equations = _core.NormalEquations(
-        graph, z, np.tile(np.eye(dof), (2, 1, 1)), np.array([True, False])
-    )
+    order = _core.Elimination(graph, np.array([True, False]), np.empty(0, np.int32))
+    equations = _core.NormalEquations(graph, order, z, np.tile(np.eye(dof), (2, 1, 1)))
     equations.linearize(placed)
     assert equations.factorize(np.zeros(dof)) == -1
     moved = equations.retract(placed, equations.solve())

@@ -176,12 +176,12 @@ def test_gtsam_says_the_same(dimension):
 @pytest.mark.parametrize("name", ["2d/input_M3500_g2o.g2o", "3d/sphere2500.g2o"])
 def test_columns_of_a_real_graphs_inverse_are_solutions(name, data_dir):
     graph = masat.initialize(masat.read(data_dir / name))
-    equations = normal_equations(graph, graph.anchors)
+    equations = normal_equations(graph)
     equations.linearize(graph.poses)
     undamped = np.zeros_like(equations.rhs())
     equations.factorize(undamped)
-    before, free, d = equations.solve(), len(equations.free_nodes()), graph.dof
-    marginals = masat.covariances(graph, graph.ids[equations.free_nodes()])
+    before, free, d = equations.solve(), len(graph.elimination.free_nodes()), graph.dof
+    marginals = masat.covariances(graph, graph.ids[graph.elimination.free_nodes()])
     every, random = np.arange(free, dtype=np.int32), np.random.default_rng(5)
     for node in random.integers(free, size=3):
         column = np.concatenate(equations.inverse(every, np.full_like(every, node)))
@@ -240,7 +240,7 @@ def test_what_cannot_be_told_is_refused():
 
 def test_blocks_out_of_range_are_refused():
     graph = joined(2, (5,))
-    equations = normal_equations(graph, graph.anchors)
+    equations = normal_equations(graph)
     zero = np.zeros(1, np.int32)
     for bad in (-1, 4):
         with pytest.raises(ValueError, match="out of range"):

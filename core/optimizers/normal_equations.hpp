@@ -3,11 +3,13 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <vector>
 
 #include "graph/topology.hpp"
 #include "sparse/block_cholesky.hpp"
+#include "sparse/elimination.hpp"
 
 namespace masat {
 
@@ -36,7 +38,6 @@ class NormalEquations {
   virtual void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                        double* out) const = 0;
   virtual void retract(const double* poses, const double* step, double* out) const = 0;
-  virtual std::int64_t fill() const = 0;
 };
 
 template <class Group>
@@ -46,16 +47,16 @@ class NormalEquationsOf final : public NormalEquations {
   using Square = typename Group::Square;
   using Tangent = typename Group::Tangent;
 
-  // `fixed` nodes keep their poses and have no place in the system. The numbers do not depend on
-  // how many threads factorise.
-  NormalEquationsOf(const Topology& graph, const double* measurements, const double* information,
-                    std::span<const bool> fixed, int threads)
-      : edges_(graph.edges()), free_of_(graph.nodes(), -1), poses_(graph.nodes()) {
-    for (std::int32_t node = 0; node < graph.nodes(); ++node) {
-      if (fixed[node]) continue;
-      free_of_[node] = static_cast<std::int32_t>(free_.size());
-      free_.push_back(node);
-    }
+  // Held nodes keep their poses and have no place in the system. The numbers do not depend on how
+  // many threads factorise.
+  NormalEquationsOf(const Topology& graph, std::shared_ptr<const Elimination> elimination,
+                    const double* measurements, const double* information, int threads)
+      : edges_(graph.edges()),
+        elimination_(std::move(elimination)),
+        poses_(graph.nodes()),
+        values_(elimination_->pattern().row.size() * kBlock),
+        rhs_(elimination_->free_nodes().size() * kDof),
+        cholesky_(*elimination_, kDof, threads) {
     const auto m = static_cast<std::int64_t>(edges_.size());
     z_.reserve(m);
     const typename Group::Table z(measurements, m);
@@ -64,19 +65,16 @@ class NormalEquationsOf final : public NormalEquations {
       z_.push_back(z[k]);
       information_.push_back(Eigen::Map<const Square>(information + k * kBlock));
     }
-    find_pattern(graph);
-    values_.resize(pattern_.row.size() * kBlock);
-    rhs_.resize(free_.size() * kDof);
-    cholesky_ = std::make_unique<BlockCholesky>(pattern_, kDof, threads);
   }
 
   int dof() const override { return kDof; }
   int pose_size() const override { return kSize; }
-  std::int32_t nodes() const override { return static_cast<std::int32_t>(free_of_.size()); }
+  std::int32_t nodes() const override { return elimination_->nodes(); }
   std::int64_t edges() const override { return static_cast<std::int64_t>(edges_.size()); }
-  std::span<const std::int32_t> free_nodes() const override { return free_; }
+  std::span<const std::int32_t> free_nodes() const override {
+    return elimination_->free_nodes();
+  }
   std::span<const double> rhs() const override { return rhs_; }
-  std::int64_t fill() const override { return cholesky_->fill(); }
 
   double chi2(const double* poses) override {
     load(poses);
@@ -97,25 +95,25 @@ class NormalEquationsOf final : public NormalEquations {
     double sum = 0;
     for (std::size_t k = 0; k < edges_.size(); ++k) {
       const Edge& edge = edges_[k];
-      const std::int32_t a = free_of_[edge.from], b = free_of_[edge.to];
+      const std::int32_t a = elimination_->place(edge.from), b = elimination_->place(edge.to);
       Square ja, jb;
       const Tangent e = error(z_[k], poses_[edge.from], poses_[edge.to], ja, jb);
       const Tangent we = information_[k] * e;
       sum += e.dot(we);
       if (a >= 0) {
         const Square wja = information_[k] * ja;
-        block(pattern_.start[a]).noalias() += ja.transpose() * wja;
+        block(pattern().start[a]).noalias() += ja.transpose() * wja;
         segment(a).noalias() -= ja.transpose() * we;
         if (b >= 0) {
           if (a < b) {
-            block(joint_[k]).noalias() += jb.transpose() * wja;
+            block(elimination_->joint(k)).noalias() += jb.transpose() * wja;
           } else {
-            block(joint_[k]).noalias() += wja.transpose() * jb;
+            block(elimination_->joint(k)).noalias() += wja.transpose() * jb;
           }
         }
       }
       if (b >= 0) {
-        block(pattern_.start[b]).noalias() += jb.transpose() * (information_[k] * jb);
+        block(pattern().start[b]).noalias() += jb.transpose() * (information_[k] * jb);
         segment(b).noalias() -= jb.transpose() * we;
       }
     }
@@ -123,8 +121,8 @@ class NormalEquationsOf final : public NormalEquations {
   }
 
   void diagonal(double* out) const override {
-    for (std::size_t c = 0; c < free_.size(); ++c) {
-      const double* const values = values_.data() + pattern_.start[c] * kBlock;
+    for (std::int32_t c = 0; c < pattern().columns(); ++c) {
+      const double* const values = values_.data() + pattern().start[c] * kBlock;
       for (int i = 0; i < kDof; ++i) *out++ = values[i * (kDof + 1)];
     }
   }
@@ -133,11 +131,11 @@ class NormalEquationsOf final : public NormalEquations {
     using In = Eigen::Map<const Tangent>;
     using Out = Eigen::Map<Tangent>;
     std::fill(out, out + rhs_.size(), 0.0);
-    for (std::int32_t c = 0; c < pattern_.columns(); ++c) {
+    for (std::int32_t c = 0; c < pattern().columns(); ++c) {
       const std::int64_t column = std::int64_t{kDof} * c;
-      for (std::int64_t k = pattern_.start[c]; k < pattern_.start[c + 1]; ++k) {
+      for (std::int64_t k = pattern().start[c]; k < pattern().start[c + 1]; ++k) {
         const Eigen::Map<const Square> h(&values_[k * kBlock]);
-        const std::int64_t row = std::int64_t{kDof} * pattern_.row[k];
+        const std::int64_t row = std::int64_t{kDof} * pattern().row[k];
         Out(out + row).noalias() += h * In(v + column);
         if (row != column) Out(out + column).noalias() += h.transpose() * In(v + row);
       }
@@ -145,25 +143,25 @@ class NormalEquationsOf final : public NormalEquations {
   }
 
   std::int32_t factorize(std::span<const double> damping) override {
-    const std::int32_t broken = cholesky_->factorize(values_, damping);
-    return broken < 0 ? -1 : free_[broken];
+    const std::int32_t broken = cholesky_.factorize(values_, damping);
+    return broken < 0 ? -1 : free_nodes()[broken];
   }
 
   void solve(double* step) const override {
     std::copy(rhs_.begin(), rhs_.end(), step);
-    cholesky_->solve({step, rhs_.size()});
+    cholesky_.solve({step, rhs_.size()});
   }
 
   void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                double* out) const override {
-    cholesky_->inverse(rows, columns, out);
+    cholesky_.inverse(rows, columns, out);
   }
 
   void retract(const double* poses, const double* step, double* out) const override {
     for (std::int32_t node = 0; node < nodes(); ++node) {
       const double* const from = poses + std::int64_t{kSize} * node;
       double* const to = out + std::int64_t{kSize} * node;
-      const std::int32_t f = free_of_[node];
+      const std::int32_t f = elimination_->place(node);
       if (f < 0) {
         std::copy(from, from + kSize, to);
       } else {
@@ -173,6 +171,7 @@ class NormalEquationsOf final : public NormalEquations {
   }
 
  private:
+  const BlockPattern& pattern() const { return elimination_->pattern(); }
   Eigen::Map<Square> block(std::int64_t k) { return Eigen::Map<Square>(&values_[k * kBlock]); }
   Eigen::Map<Tangent> segment(std::int32_t f) {
     return Eigen::Map<Tangent>(&rhs_[std::int64_t{kDof} * f]);
@@ -188,48 +187,13 @@ class NormalEquationsOf final : public NormalEquations {
     return e.dot(information_[k] * e);
   }
 
-  // A block for each free node and each pair of free nodes that edges join.
-  void find_pattern(const Topology& graph) {
-    const auto columns = static_cast<std::int32_t>(free_.size());
-    std::vector<std::int64_t> slot(columns, -1);  // of each row, in the column at work
-    joint_.assign(edges_.size(), -1);
-    pattern_.start.reserve(columns + 1);
-    pattern_.row.reserve(columns + edges_.size());
-    std::vector<std::int32_t> rows;
-    for (std::int32_t c = 0; c < columns; ++c) {
-      const auto begin = static_cast<std::int64_t>(pattern_.row.size());
-      pattern_.start.push_back(begin);
-      pattern_.row.push_back(c);
-      rows.clear();
-      for (const Incidence& i : graph.incident(free_[c])) {
-        const std::int32_t r = free_of_[i.node];
-        if (r > c && slot[r] < begin) {
-          slot[r] = begin;
-          rows.push_back(r);
-        }
-      }
-      std::sort(rows.begin(), rows.end());
-      for (std::size_t k = 0; k < rows.size(); ++k) {
-        slot[rows[k]] = begin + 1 + static_cast<std::int64_t>(k);
-      }
-      pattern_.row.insert(pattern_.row.end(), rows.begin(), rows.end());
-      for (const Incidence& i : graph.incident(free_[c])) {
-        const std::int32_t r = free_of_[i.node];
-        if (r > c) joint_[i.edge < 0 ? ~i.edge : i.edge] = slot[r];
-      }
-    }
-    pattern_.start.push_back(static_cast<std::int64_t>(pattern_.row.size()));
-  }
-
   std::vector<Edge> edges_;
   std::vector<Group> z_;
   std::vector<Square> information_;
-  std::vector<std::int32_t> free_, free_of_;  // the free nodes; each node's place there or -1
+  std::shared_ptr<const Elimination> elimination_;
   std::vector<Group> poses_;
-  BlockPattern pattern_;
-  std::vector<std::int64_t> joint_;  // the block of each edge's pair of nodes
   std::vector<double> values_, rhs_;
-  std::unique_ptr<BlockCholesky> cholesky_;
+  BlockCholesky cholesky_;
 };
 
 }  // namespace masat

@@ -4,43 +4,27 @@
 #include <stdexcept>
 #include <vector>
 
-#include "sparse/elimination_tree.hpp"
 #include "sparse/front_layout.hpp"
 #include "sparse/multifrontal.hpp"
-#include "sparse/ordering.hpp"
 #include "sparse/selected_inverse.hpp"
 
 namespace masat {
 
 struct BlockCholesky::Impl {
-  Impl(const BlockPattern& pattern, const BlockGraph& graph, const EliminationTree& tree, int d,
-       int threads)
-      : layout(pattern, graph, tree, d, kernels().lanes),
+  Impl(const Elimination& elimination, int d, int threads)
+      : layout(elimination.pattern(), elimination.adjacency(), elimination.tree(), d,
+               kernels().lanes),
         factor(layout, kernels(), threads),
-        permuted(tree.order.size() * d) {
-    for (const std::int32_t count : tree.count) {
-      for (int k = 0; k < d; ++k) {
-        const std::int64_t height = std::int64_t{count} * d - k;
-        fill += height;
-        operations += double(height) * double(height);
-      }
-    }
-  }
+        permuted(elimination.free_nodes().size() * d) {}
 
   FrontLayout layout;
   Multifrontal factor;
   std::vector<double> permuted;
-  std::int64_t fill = 0;
-  double operations = 0;
 };
 
-BlockCholesky::BlockCholesky(const BlockPattern& pattern, int block_size, int threads,
-                             std::span<const std::int32_t> order) {
+BlockCholesky::BlockCholesky(const Elimination& elimination, int block_size, int threads) {
   if (block_size != 3 && block_size != 6) throw std::invalid_argument("blocks are 3x3 or 6x6");
-  const BlockGraph graph(pattern);
-  const EliminationTree tree = order.empty() ? find_elimination_tree(graph, minimum_degree(graph))
-                                             : find_elimination_tree(graph, order);
-  impl_ = std::make_unique<Impl>(pattern, graph, tree, block_size, std::max(threads, 1));
+  impl_ = std::make_unique<Impl>(elimination, block_size, std::max(threads, 1));
 }
 BlockCholesky::~BlockCholesky() = default;
 
@@ -69,8 +53,5 @@ void BlockCholesky::inverse(std::span<const std::int32_t> rows,
                             std::span<const std::int32_t> columns, double* out) const {
   invert_blocks(impl_->layout, impl_->factor, rows, columns, out);
 }
-
-std::int64_t BlockCholesky::fill() const { return impl_->fill; }
-double BlockCholesky::operations() const { return impl_->operations; }
 
 }  // namespace masat

@@ -5,17 +5,15 @@
 #include <memory>
 #include <span>
 
-#include "sparse/block_pattern.hpp"
+#include "sparse/elimination.hpp"
 
 namespace masat {
 
 class BlockCholesky {
  public:
-  // Analyses the pattern: a fill-reducing order of the blocks and the fronts of the factor. Blocks
-  // are 3x3 or 6x6. A given order, the block to eliminate k-th, replaces the minimum degree one; an
-  // equivalent one is used. Results do not depend on the number of threads.
-  BlockCholesky(const BlockPattern& pattern, int block_size, int threads = 1,
-                std::span<const std::int32_t> order = {});
+  // Lays out the fronts of the factor. Blocks are 3x3 or 6x6. Results do not depend on the number
+  // of threads.
+  BlockCholesky(const Elimination& elimination, int block_size, int threads = 1);
   ~BlockCholesky();
 
   // Factorises the matrix with the blocks `values`, each column-major, in the order of the
@@ -29,11 +27,6 @@ class BlockCholesky {
   // Writes the blocks of the inverse at (rows[k], columns[k]), each row-major.
   void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                double* out) const;
-
-  // Entries of the factor, and the floating-point operations to compute it; without what the
-  // storage pads.
-  std::int64_t fill() const;
-  double operations() const;
 
  private:
   struct Impl;

@@ -108,13 +108,13 @@ def _blocks(graph: PoseGraph, rows: Ids, columns: Ids) -> Floats:
     """Return blocks of the joint covariance, (k, d, d), by places of nodes in `graph.ids`."""
     if graph.poses is None:
         raise OptimizationError("the graph has no poses: give it some with masat.initialize")
-    equations = normal_equations(graph, graph.anchors)
+    equations = normal_equations(graph)
     if not np.isfinite(equations.linearize(graph.poses)):
         raise OptimizationError("chi2 of the poses is not finite: they are too far apart")
     broken = equations.factorize(np.zeros_like(equations.rhs()))
     if broken >= 0:
         raise OptimizationError(why_singular(graph, broken))
-    free = equations.free_nodes()
+    free = graph.elimination.free_nodes()
     place = np.full(len(graph.ids), -1, np.int32)
     place[free] = np.arange(len(free))
     inside = (place[rows] >= 0) & (place[columns] >= 0)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from masat import _checks as checks
 from masat import _core, lie
 from masat.arrays import Floats, Ids, Indices
+from masat.elimination import eliminate
 from masat.errors import GraphError
 
 
@@ -173,7 +174,7 @@ class PoseGraph:
             notes=tuple(dict.fromkeys([*self.notes, *notes])),
         )
         # What depends on the edges alone stays valid.
-        for name in ("edge_indices", "topology", "components", "anchors"):
+        for name in ("edge_indices", "topology", "components", "anchors", "elimination"):
             if name in self.__dict__:
                 graph.__dict__[name] = self.__dict__[name]
         return graph
@@ -213,6 +214,13 @@ class PoseGraph:
         held = labels[self.index(self.fixed)]
         free = self.ids[np.delete(first, held)]
         return checks.frozen(np.sort(np.concatenate([self.fixed, free])))
+
+    @cached_property
+    def elimination(self) -> _core.Elimination:
+        """In what order the systems of the graph are solved, the anchors held; found once."""
+        held = np.zeros(len(self.ids), np.bool_)
+        held[self.index(self.anchors)] = True
+        return eliminate(self.topology, held, self.dof)
 
     def _check_fixed(self) -> None:
         if self.poses is not None or len(self.fixed) < 2:

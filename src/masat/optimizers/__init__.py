@@ -96,7 +96,7 @@ def optimize(
         raise OptimizationError(f"at least one thread must work, got {threads}")
     start = perf_counter()
     anchors = graph.anchors
-    equations = normal_equations(graph, anchors, threads)
+    equations = normal_equations(graph, threads)
     initial = equations.chi2(graph.poses)
     history: list[Iteration] = []
 

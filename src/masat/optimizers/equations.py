@@ -5,19 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from masat import _core
-from masat.arrays import Floats, Ids
+from masat.arrays import Floats
+from masat.elimination import eliminate
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
 
 _EPSILON = float(np.finfo(np.float64).eps)
 
 
-def normal_equations(graph: PoseGraph, anchors: Ids, threads: int = 1) -> _core.NormalEquations:
-    """Analyse the system of a graph in which the anchors hold still."""
-    held = np.zeros(len(graph.ids), np.bool_)
-    held[graph.index(anchors)] = True
+def normal_equations(graph: PoseGraph, threads: int = 1) -> _core.NormalEquations:
+    """Lay out the system of a graph in which the anchors hold still."""
     return _core.NormalEquations(
-        graph.topology, graph.measurements, graph.information, held, threads
+        graph.topology, graph.elimination, graph.measurements, graph.information, threads
     )
 
 
@@ -25,9 +24,9 @@ def edge_chi2(graph: PoseGraph) -> Floats:
     """Return e' W e of each edge at the poses of the graph, (m,)."""
     if graph.poses is None:
         raise OptimizationError("the graph has no poses: give it some with masat.initialize")
-    everything = np.ones(len(graph.ids), np.bool_)
+    nothing = eliminate(graph.topology, np.ones(len(graph.ids), np.bool_), graph.dof)
     equations = _core.NormalEquations(
-        graph.topology, graph.measurements, graph.information, everything
+        graph.topology, nothing, graph.measurements, graph.information
     )
     return equations.edge_chi2(graph.poses)
 

@@ -1,0 +1,81 @@
+#include "sparse/elimination.hpp"
+
+#include <algorithm>
+
+#include "sparse/ordering.hpp"
+
+namespace masat {
+namespace {
+
+std::vector<std::int32_t> free_of(std::span<const bool> held) {
+  std::vector<std::int32_t> free;
+  for (std::size_t node = 0; node < held.size(); ++node) {
+    if (!held[node]) free.push_back(static_cast<std::int32_t>(node));
+  }
+  return free;
+}
+
+}  // namespace
+
+Elimination::Elimination(const Topology& graph, std::span<const bool> held,
+                         std::span<const std::int32_t> order)
+    : free_(free_of(held)),
+      place_(graph.nodes(), -1),
+      joint_(graph.edges().size(), -1),
+      pattern_(find_pattern(graph)),
+      adjacency_(pattern_),
+      tree_(order.empty() ? find_elimination_tree(adjacency_, minimum_degree(adjacency_))
+                          : find_elimination_tree(adjacency_, order)) {}
+
+BlockPattern Elimination::find_pattern(const Topology& graph) {
+  const auto columns = static_cast<std::int32_t>(free_.size());
+  for (std::int32_t c = 0; c < columns; ++c) place_[free_[c]] = c;
+  BlockPattern pattern;
+  pattern.start.reserve(columns + 1);
+  pattern.row.reserve(columns + joint_.size());
+  std::vector<std::int64_t> slot(columns, -1);  // of each row, in the column at work
+  std::vector<std::int32_t> rows;
+  for (std::int32_t c = 0; c < columns; ++c) {
+    const auto begin = static_cast<std::int64_t>(pattern.row.size());
+    pattern.start.push_back(begin);
+    pattern.row.push_back(c);
+    rows.clear();
+    for (const Incidence& i : graph.incident(free_[c])) {
+      const std::int32_t r = place_[i.node];
+      if (r > c && slot[r] < begin) {
+        slot[r] = begin;
+        rows.push_back(r);
+      }
+    }
+    std::sort(rows.begin(), rows.end());
+    for (std::size_t k = 0; k < rows.size(); ++k) {
+      slot[rows[k]] = begin + 1 + static_cast<std::int64_t>(k);
+    }
+    pattern.row.insert(pattern.row.end(), rows.begin(), rows.end());
+    for (const Incidence& i : graph.incident(free_[c])) {
+      const std::int32_t r = place_[i.node];
+      if (r > c) joint_[i.edge < 0 ? ~i.edge : i.edge] = slot[r];
+    }
+  }
+  pattern.start.push_back(static_cast<std::int64_t>(pattern.row.size()));
+  return pattern;
+}
+
+std::int64_t Elimination::fill(int d) const {
+  std::int64_t sum = 0;
+  for (const std::int64_t blocks : tree_.count) sum += d * (blocks * d) - d * (d - 1) / 2;
+  return sum;
+}
+
+double Elimination::operations(int d) const {
+  double sum = 0;
+  for (const std::int32_t blocks : tree_.count) {
+    for (int k = 0; k < d; ++k) {
+      const double height = double(blocks) * d - k;
+      sum += height * height;
+    }
+  }
+  return sum;
+}
+
+}  // namespace masat

@@ -1,0 +1,49 @@
+// How the systems of a graph are eliminated: found once, whatever the size of their blocks.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "graph/topology.hpp"
+#include "sparse/block_pattern.hpp"
+#include "sparse/elimination_tree.hpp"
+
+namespace masat {
+
+class Elimination {
+ public:
+  // A block for each free node and each pair of free nodes that edges join; `held` nodes have no
+  // place. A given order, the free node to eliminate k-th by its place among them, replaces the
+  // minimum degree one; an equivalent one is used.
+  Elimination(const Topology& graph, std::span<const bool> held,
+              std::span<const std::int32_t> order = {});
+
+  std::int32_t nodes() const { return static_cast<std::int32_t>(place_.size()); }
+  std::int64_t edges() const { return static_cast<std::int64_t>(joint_.size()); }
+  std::span<const std::int32_t> free_nodes() const { return free_; }
+  // A node's place among the free ones, or -1.
+  std::int32_t place(std::int32_t node) const { return place_[node]; }
+  // The block of an edge's pair of nodes in the pattern, or -1.
+  std::int64_t joint(std::int64_t edge) const { return joint_[edge]; }
+
+  const BlockPattern& pattern() const { return pattern_; }
+  const BlockGraph& adjacency() const { return adjacency_; }
+  const EliminationTree& tree() const { return tree_; }
+
+  // Entries of the factor of a matrix of d x d blocks, and the floating-point operations to compute
+  // it; without what the storage pads.
+  std::int64_t fill(int d) const;
+  double operations(int d) const;
+
+ private:
+  BlockPattern find_pattern(const Topology& graph);
+
+  std::vector<std::int32_t> free_, place_;
+  std::vector<std::int64_t> joint_;
+  BlockPattern pattern_;
+  BlockGraph adjacency_;
+  EliminationTree tree_;
+};
+
+}  // namespace masat
