@@ -8,8 +8,7 @@
 #include <vector>
 
 #include "graph/topology.hpp"
-#include "sparse/block_cholesky.hpp"
-#include "sparse/elimination.hpp"
+#include "sparse/graph_matrix.hpp"
 
 namespace masat {
 
@@ -52,11 +51,9 @@ class NormalEquationsOf final : public NormalEquations {
   NormalEquationsOf(const Topology& graph, std::shared_ptr<const Elimination> elimination,
                     const double* measurements, const double* information, int threads)
       : edges_(graph.edges()),
-        elimination_(std::move(elimination)),
         poses_(graph.nodes()),
-        values_(elimination_->pattern().row.size() * kBlock),
-        rhs_(elimination_->free_nodes().size() * kDof),
-        cholesky_(*elimination_, kDof, threads) {
+        matrix_(std::move(elimination), kDof, threads),
+        rhs_(matrix_.rows()) {
     const auto m = static_cast<std::int64_t>(edges_.size());
     z_.reserve(m);
     const typename Group::Table z(measurements, m);
@@ -69,10 +66,10 @@ class NormalEquationsOf final : public NormalEquations {
 
   int dof() const override { return kDof; }
   int pose_size() const override { return kSize; }
-  std::int32_t nodes() const override { return elimination_->nodes(); }
+  std::int32_t nodes() const override { return elimination().nodes(); }
   std::int64_t edges() const override { return static_cast<std::int64_t>(edges_.size()); }
   std::span<const std::int32_t> free_nodes() const override {
-    return elimination_->free_nodes();
+    return elimination().free_nodes();
   }
   std::span<const double> rhs() const override { return rhs_; }
 
@@ -90,78 +87,59 @@ class NormalEquationsOf final : public NormalEquations {
 
   double linearize(const double* poses) override {
     load(poses);
-    std::fill(values_.begin(), values_.end(), 0.0);
+    matrix_.set_zero();
     std::fill(rhs_.begin(), rhs_.end(), 0.0);
     double sum = 0;
     for (std::size_t k = 0; k < edges_.size(); ++k) {
       const Edge& edge = edges_[k];
-      const std::int32_t a = elimination_->place(edge.from), b = elimination_->place(edge.to);
+      const std::int32_t a = elimination().place(edge.from), b = elimination().place(edge.to);
       Square ja, jb;
       const Tangent e = error(z_[k], poses_[edge.from], poses_[edge.to], ja, jb);
       const Tangent we = information_[k] * e;
       sum += e.dot(we);
       if (a >= 0) {
         const Square wja = information_[k] * ja;
-        block(pattern().start[a]).noalias() += ja.transpose() * wja;
+        block(matrix_.node_block(a)).noalias() += ja.transpose() * wja;
         segment(a).noalias() -= ja.transpose() * we;
         if (b >= 0) {
           if (a < b) {
-            block(elimination_->joint(k)).noalias() += jb.transpose() * wja;
+            block(matrix_.joint_block(k)).noalias() += jb.transpose() * wja;
           } else {
-            block(elimination_->joint(k)).noalias() += wja.transpose() * jb;
+            block(matrix_.joint_block(k)).noalias() += wja.transpose() * jb;
           }
         }
       }
       if (b >= 0) {
-        block(pattern().start[b]).noalias() += jb.transpose() * (information_[k] * jb);
+        block(matrix_.node_block(b)).noalias() += jb.transpose() * (information_[k] * jb);
         segment(b).noalias() -= jb.transpose() * we;
       }
     }
     return sum;
   }
 
-  void diagonal(double* out) const override {
-    for (std::int32_t c = 0; c < pattern().columns(); ++c) {
-      const double* const values = values_.data() + pattern().start[c] * kBlock;
-      for (int i = 0; i < kDof; ++i) *out++ = values[i * (kDof + 1)];
-    }
-  }
-
-  void multiply(const double* v, double* out) const override {
-    using In = Eigen::Map<const Tangent>;
-    using Out = Eigen::Map<Tangent>;
-    std::fill(out, out + rhs_.size(), 0.0);
-    for (std::int32_t c = 0; c < pattern().columns(); ++c) {
-      const std::int64_t column = std::int64_t{kDof} * c;
-      for (std::int64_t k = pattern().start[c]; k < pattern().start[c + 1]; ++k) {
-        const Eigen::Map<const Square> h(&values_[k * kBlock]);
-        const std::int64_t row = std::int64_t{kDof} * pattern().row[k];
-        Out(out + row).noalias() += h * In(v + column);
-        if (row != column) Out(out + column).noalias() += h.transpose() * In(v + row);
-      }
-    }
-  }
+  void diagonal(double* out) const override { matrix_.diagonal(out); }
+  void multiply(const double* v, double* out) const override { matrix_.multiply(v, 1, out); }
 
   std::int32_t factorize(std::span<const double> damping) override {
-    const std::int32_t broken = cholesky_.factorize(values_, damping);
+    const std::int32_t broken = matrix_.factorize(damping);
     return broken < 0 ? -1 : free_nodes()[broken];
   }
 
   void solve(double* step) const override {
     std::copy(rhs_.begin(), rhs_.end(), step);
-    cholesky_.solve({step, rhs_.size()});
+    matrix_.solve({step, rhs_.size()});
   }
 
   void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                double* out) const override {
-    cholesky_.inverse(rows, columns, out);
+    matrix_.inverse(rows, columns, out);
   }
 
   void retract(const double* poses, const double* step, double* out) const override {
     for (std::int32_t node = 0; node < nodes(); ++node) {
       const double* const from = poses + std::int64_t{kSize} * node;
       double* const to = out + std::int64_t{kSize} * node;
-      const std::int32_t f = elimination_->place(node);
+      const std::int32_t f = elimination().place(node);
       if (f < 0) {
         std::copy(from, from + kSize, to);
       } else {
@@ -171,8 +149,8 @@ class NormalEquationsOf final : public NormalEquations {
   }
 
  private:
-  const BlockPattern& pattern() const { return elimination_->pattern(); }
-  Eigen::Map<Square> block(std::int64_t k) { return Eigen::Map<Square>(&values_[k * kBlock]); }
+  const Elimination& elimination() const { return matrix_.elimination(); }
+  static Eigen::Map<Square> block(double* values) { return Eigen::Map<Square>(values); }
   Eigen::Map<Tangent> segment(std::int32_t f) {
     return Eigen::Map<Tangent>(&rhs_[std::int64_t{kDof} * f]);
   }
@@ -190,10 +168,9 @@ class NormalEquationsOf final : public NormalEquations {
   std::vector<Edge> edges_;
   std::vector<Group> z_;
   std::vector<Square> information_;
-  std::shared_ptr<const Elimination> elimination_;
   std::vector<Group> poses_;
-  std::vector<double> values_, rhs_;
-  BlockCholesky cholesky_;
+  GraphMatrix matrix_;
+  std::vector<double> rhs_;
 };
 
 }  // namespace masat

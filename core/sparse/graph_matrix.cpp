@@ -1,0 +1,73 @@
+#include "sparse/graph_matrix.hpp"
+
+#include <utility>
+
+namespace masat {
+namespace {
+
+// out += h v, or h' v, of d x d and d x columns.
+template <int kSize, bool kTransposed>
+void add_product(const double* h, const double* v, int columns, double* out) {
+  for (int i = 0; i < kSize; ++i, out += columns) {
+    for (int j = 0; j < kSize; ++j) {
+      const double factor = kTransposed ? h[i * kSize + j] : h[j * kSize + i];
+      for (int c = 0; c < columns; ++c) out[c] += factor * v[j * columns + c];
+    }
+  }
+}
+
+// kColumns is 0 where it is not known beforehand.
+template <int kSize, int kColumns>
+void multiply_blocks(const BlockPattern& pattern, const double* values, const double* v,
+                     int given_columns, double* out) {
+  const int columns = kColumns > 0 ? kColumns : given_columns;
+  const std::int64_t step = std::int64_t{kSize} * columns;
+  for (std::int32_t c = 0; c < pattern.columns(); ++c) {
+    for (std::int64_t k = pattern.start[c]; k < pattern.start[c + 1]; ++k) {
+      const double* const h = values + k * kSize * kSize;
+      const std::int32_t r = pattern.row[k];
+      add_product<kSize, true>(h, v + step * r, columns, out + step * c);
+      if (r != c) add_product<kSize, false>(h, v + step * c, columns, out + step * r);
+    }
+  }
+}
+
+template <int kSize>
+void multiply_columns(const BlockPattern& pattern, const double* values, const double* v,
+                      int columns, double* out) {
+  const auto multiply = columns == 1   ? multiply_blocks<kSize, 1>
+                        : columns == 2 ? multiply_blocks<kSize, 2>
+                        : columns == 3 ? multiply_blocks<kSize, 3>
+                        : columns == 4 ? multiply_blocks<kSize, 4>
+                        : columns == 5 ? multiply_blocks<kSize, 5>
+                                       : multiply_blocks<kSize, 0>;
+  multiply(pattern, values, v, columns, out);
+}
+
+}  // namespace
+
+GraphMatrix::GraphMatrix(std::shared_ptr<const Elimination> elimination, int block_size,
+                         int threads)
+    : elimination_(std::move(elimination)),
+      d_(block_size),
+      values_(elimination_->pattern().row.size() * block_size * block_size),
+      cholesky_(*elimination_, block_size, threads) {}
+
+void GraphMatrix::diagonal(double* out) const {
+  for (std::int32_t c = 0; c < pattern().columns(); ++c) {
+    const double* const values = values_.data() + pattern().start[c] * d_ * d_;
+    for (int i = 0; i < d_; ++i) *out++ = values[i * (d_ + 1)];
+  }
+}
+
+void GraphMatrix::multiply(const double* v, int columns, double* out) const {
+  std::fill(out, out + rows() * columns, 0.0);
+  const auto multiply = d_ == 1   ? multiply_columns<1>
+                        : d_ == 2 ? multiply_columns<2>
+                        : d_ == 3 ? multiply_columns<3>
+                        : d_ == 4 ? multiply_columns<4>
+                                  : multiply_columns<6>;
+  multiply(pattern(), values_.data(), v, columns, out);
+}
+
+}  // namespace masat

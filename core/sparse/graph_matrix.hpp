@@ -1,0 +1,58 @@
+// A symmetric matrix with a block for each free node of a graph and each pair that edges join.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "sparse/block_cholesky.hpp"
+#include "sparse/elimination.hpp"
+
+namespace masat {
+
+// Vectors and tables of right-hand sides have d rows a free node, and are row-major.
+class GraphMatrix {
+ public:
+  GraphMatrix(std::shared_ptr<const Elimination> elimination, int block_size, int threads = 1);
+
+  int block_size() const { return d_; }
+  std::int64_t rows() const { return std::int64_t{d_} * pattern().columns(); }
+  const Elimination& elimination() const { return *elimination_; }
+
+  void set_zero() { std::fill(values_.begin(), values_.end(), 0.0); }
+  // Blocks, column-major: that of a free node by its place, and that of an edge's pair of free
+  // nodes, whose rows are those of the node with the greater place.
+  double* node_block(std::int32_t place) {
+    return values_.data() + pattern().start[place] * d_ * d_;
+  }
+  double* joint_block(std::int64_t edge) {
+    return values_.data() + elimination_->joint(edge) * d_ * d_;
+  }
+
+  void diagonal(double* out) const;
+  // out = H v
+  void multiply(const double* v, int columns, double* out) const;
+  // Factorises H plus a diagonal; returns -1, or the place at which it is not positive definite.
+  std::int32_t factorize(std::span<const double> damping) {
+    return cholesky_.factorize(values_, damping);
+  }
+  // Overwrites right-hand sides with the solutions of what was factorised.
+  void solve(std::span<double> rhs) const { cholesky_.solve(rhs); }
+  // Blocks of the inverse of what was factorised, by places, each row-major.
+  void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
+               double* out) const {
+    cholesky_.inverse(rows, columns, out);
+  }
+
+ private:
+  const BlockPattern& pattern() const { return elimination_->pattern(); }
+
+  std::shared_ptr<const Elimination> elimination_;
+  int d_;
+  std::vector<double> values_;
+  BlockCholesky cholesky_;
+};
+
+}  // namespace masat
