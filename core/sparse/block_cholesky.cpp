@@ -23,7 +23,7 @@ struct BlockCholesky::Impl {
 };
 
 BlockCholesky::BlockCholesky(const Elimination& elimination, int block_size, int threads) {
-  if (block_size != 3 && block_size != 6) throw std::invalid_argument("blocks are 3x3 or 6x6");
+  if (block_size < 1 || block_size > 6) throw std::invalid_argument("blocks are of 1 to 6 rows");
   impl_ = std::make_unique<Impl>(elimination, block_size, std::max(threads, 1));
 }
 BlockCholesky::~BlockCholesky() = default;

@@ -11,8 +11,8 @@ namespace masat {
 
 class BlockCholesky {
  public:
-  // Lays out the fronts of the factor. Blocks are 3x3 or 6x6. Results do not depend on the number
-  // of threads.
+  // Lays out the fronts of the factor. Blocks have 1 to 6 rows. Results do not depend on the
+  // number of threads.
   BlockCholesky(const Elimination& elimination, int block_size, int threads = 1);
   ~BlockCholesky();
 

@@ -2,6 +2,8 @@
 
 #include <utility>
 
+#include "sparse/block_size.hpp"
+
 namespace masat {
 namespace {
 
@@ -32,18 +34,6 @@ void multiply_blocks(const BlockPattern& pattern, const double* values, const do
   }
 }
 
-template <int kSize>
-void multiply_columns(const BlockPattern& pattern, const double* values, const double* v,
-                      int columns, double* out) {
-  const auto multiply = columns == 1   ? multiply_blocks<kSize, 1>
-                        : columns == 2 ? multiply_blocks<kSize, 2>
-                        : columns == 3 ? multiply_blocks<kSize, 3>
-                        : columns == 4 ? multiply_blocks<kSize, 4>
-                        : columns == 5 ? multiply_blocks<kSize, 5>
-                                       : multiply_blocks<kSize, 0>;
-  multiply(pattern, values, v, columns, out);
-}
-
 }  // namespace
 
 GraphMatrix::GraphMatrix(std::shared_ptr<const Elimination> elimination, int block_size,
@@ -62,12 +52,15 @@ void GraphMatrix::diagonal(double* out) const {
 
 void GraphMatrix::multiply(const double* v, int columns, double* out) const {
   std::fill(out, out + rows() * columns, 0.0);
-  const auto multiply = d_ == 1   ? multiply_columns<1>
-                        : d_ == 2 ? multiply_columns<2>
-                        : d_ == 3 ? multiply_columns<3>
-                        : d_ == 4 ? multiply_columns<4>
-                                  : multiply_columns<6>;
-  multiply(pattern(), values_.data(), v, columns, out);
+  with_block_size(d_, [&]<int kSize>() {
+    const auto multiply = columns == 1   ? multiply_blocks<kSize, 1>
+                          : columns == 2 ? multiply_blocks<kSize, 2>
+                          : columns == 3 ? multiply_blocks<kSize, 3>
+                          : columns == 4 ? multiply_blocks<kSize, 4>
+                          : columns == 5 ? multiply_blocks<kSize, 5>
+                                         : multiply_blocks<kSize, 0>;
+    multiply(pattern(), values_.data(), v, columns, out);
+  });
 }
 
 }  // namespace masat

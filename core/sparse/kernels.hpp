@@ -2,8 +2,7 @@
 //
 // A front is a dense symmetric matrix, lower triangle, column-major: `pivots` columns to eliminate,
 // stored as the square `l11` above the rectangle `l21`, and the contribution block `cb` of the
-// `rows` below. Columns begin at multiples of `lanes` and are padded to them. Counts of columns are
-// multiples of 3.
+// `rows` below. Columns begin at multiples of `lanes` and are padded to them.
 #pragma once
 
 #include <cstdint>

@@ -33,7 +33,7 @@ void subtract_product(double* c, std::int64_t ldc, const double* a, std::int64_t
       const std::int64_t on_diagonal = round_down(j - diagonal);
       const std::int64_t first = on_diagonal > i ? on_diagonal : i;
       if (first >= end) break;
-      with_tile((end - first) / kLanes, columns - j >= kColumns, [&]<int R, int N>() {
+      with_tile((end - first) / kLanes, columns - j, [&]<int R, int N>() {
         subtract_tile<R, N, kOverwrite>(c + j * ldc + first, ldc, a + first, lda, b + j, ldb,
                                         depth);
       });
@@ -98,8 +98,8 @@ int factor_block(double* a, std::int64_t ld, double* reciprocal, const double* f
 
 // One block of N columns at `j` in the diagonal block of a panel that begins at `begin`.
 template <int N>
-int factor_columns(const Front& front, std::int32_t begin, std::int32_t end, std::int32_t j,
-                   double* reciprocal, const double* floor) {
+[[gnu::noinline]] int factor_columns(const Front& front, std::int32_t begin, std::int32_t end,
+                                     std::int32_t j, double* reciprocal, const double* floor) {
   const std::int64_t ld = front.ld11, depth = j - begin;
   const std::int32_t top = round_down(j), bottom = round_up(j + N);
   double* const column = front.l11 + j * ld;
@@ -124,11 +124,9 @@ int factor_columns(const Front& front, std::int32_t begin, std::int32_t end, std
     for (int i = 0; i < N; ++i) diagonal[n * ld + i] = block[n][i];
   }
   for (std::int32_t i = bottom; i < end; i += kVectors * kLanes) {
-    with_tile((end - i) / kLanes, N == kColumns, [&]<int R, int M>() {
-      if constexpr (M == N) {
-        solve_tile<R, N>(column + i, ld, left + i, ld, left + j, ld, depth, diagonal, ld,
-                         reciprocal + j);
-      }
+    with_constant<kVectors>((end - i) / kLanes, [&]<int R>() {
+      solve_tile<R, N>(column + i, ld, left + i, ld, left + j, ld, depth, diagonal, ld,
+                       reciprocal + j);
     });
   }
   return -1;
@@ -149,10 +147,9 @@ std::int32_t factor_diagonal(const Front& front, std::int32_t begin, double* rec
                             begin - k < kDepth ? begin - k : kDepth, 0);
   }
   for (std::int32_t j = begin; j < end; j += kColumns) {
-    const int broken =
-        end - j >= kColumns
-            ? factor_columns<kColumns>(front, begin, round_up(end), j, reciprocal, floor)
-            : factor_columns<3>(front, begin, round_up(end), j, reciprocal, floor);
+    const int broken = with_columns(end - j, [&]<int N>() {
+      return factor_columns<N>(front, begin, round_up(end), j, reciprocal, floor);
+    });
     if (broken >= 0) return j + broken;
   }
   return -1;
@@ -172,7 +169,7 @@ void solve_rows(const Front& front, std::int32_t begin, const double* reciprocal
   const double* const left = front.l11 + begin * front.ld11;
   for (std::int64_t i = 0; i < count; i += kVectors * kLanes) {
     for (std::int32_t j = begin; j < end; j += kColumns) {
-      with_tile((count - i) / kLanes, end - j >= kColumns, [&]<int R, int N>() {
+      with_tile((count - i) / kLanes, end - j, [&]<int R, int N>() {
         solve_tile<R, N>(rows + j * ld + i, ld, rows + begin * ld + i, ld, left + j, front.ld11,
                          j - begin, front.l11 + j * front.ld11 + j, front.ld11, reciprocal + j);
       });

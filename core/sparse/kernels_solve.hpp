@@ -39,19 +39,12 @@ void apply_rows(const double* a, std::int64_t lda, const double* x, std::int64_t
 }
 
 template <bool kOverwrite>
-void apply(const double* a, std::int64_t lda, const double* x, std::int64_t columns,
-           std::int64_t rows, double* y) {
+[[gnu::always_inline]] inline void apply(const double* a, std::int64_t lda, const double* x,
+                                         std::int64_t columns, std::int64_t rows, double* y) {
   for (std::int64_t i = 0; i < rows; i += 4 * kLanes) {
     const std::int64_t left = (rows - i) / kLanes;
-    if (left >= 4) {
-      apply_rows<4, kOverwrite>(a + i, lda, x, columns, y + i);
-    } else if (left == 3) {
-      apply_rows<3, kOverwrite>(a + i, lda, x, columns, y + i);
-    } else if (left == 2) {
-      apply_rows<2, kOverwrite>(a + i, lda, x, columns, y + i);
-    } else {
-      apply_rows<1, kOverwrite>(a + i, lda, x, columns, y + i);
-    }
+    with_constant<4>(left,
+                     [&]<int R>() { apply_rows<R, kOverwrite>(a + i, lda, x, columns, y + i); });
   }
 }
 
@@ -69,7 +62,8 @@ template <int N>
 
 // The N columns at `j`: solves for them, and subtracts them from the pivots below.
 template <int N>
-void forward_columns(const Front& front, std::int32_t j, const double* reciprocal, double* x) {
+[[gnu::noinline]] void forward_columns(const Front& front, std::int32_t j, const double* reciprocal,
+                                       double* x) {
   const std::int64_t ld = front.ld11;
   const double* const l = front.l11 + j * ld;
   double solved[N];
@@ -88,8 +82,8 @@ void forward_columns(const Front& front, std::int32_t j, const double* reciproca
 }
 
 template <int N>
-void backward_columns(const Front& front, std::int32_t j, const double* reciprocal, double* x,
-                      const double* y) {
+[[gnu::noinline]] void backward_columns(const Front& front, std::int32_t j,
+                                        const double* reciprocal, double* x, const double* y) {
   const std::int64_t ld = front.ld11;
   const double* const l = front.l11 + j * ld;
   double own[N];
@@ -113,18 +107,17 @@ void backward_columns(const Front& front, std::int32_t j, const double* reciproc
 }
 
 void forward(const Front& front, const double* reciprocal, double* x, double* y) {
-  std::int32_t j = 0;
-  for (; j + kColumns <= front.pivots; j += kColumns) {
-    forward_columns<kColumns>(front, j, reciprocal, x);
+  for (std::int32_t j = 0; j < front.pivots; j += kColumns) {
+    with_columns(front.pivots - j, [&]<int N>() { forward_columns<N>(front, j, reciprocal, x); });
   }
-  if (j < front.pivots) forward_columns<3>(front, j, reciprocal, x);
   apply<true>(front.l21, front.ld21, x, front.pivots, round_up(front.rows), y);
 }
 
 void backward(const Front& front, const double* reciprocal, double* x, const double* y) {
-  std::int32_t j = front.pivots;
-  if (j % kColumns != 0) backward_columns<3>(front, j -= 3, reciprocal, x, y);
-  while (j > 0) backward_columns<kColumns>(front, j -= kColumns, reciprocal, x, y);
+  for (std::int32_t j = (front.pivots - 1) / kColumns * kColumns; j >= 0; j -= kColumns) {
+    with_columns(front.pivots - j,
+                 [&]<int N>() { backward_columns<N>(front, j, reciprocal, x, y); });
+  }
 }
 
 }  // namespace

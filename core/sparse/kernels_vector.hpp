@@ -10,7 +10,7 @@ typedef double Vector __attribute__((vector_size(8 * MASAT_LANES), may_alias));
 
 constexpr std::int32_t kLanes = MASAT_LANES;
 constexpr std::int32_t kVectors = MASAT_TILE_VECTORS;  // rows of a tile
-constexpr std::int32_t kColumns = 6;                   // of a tile; the last may have 3
+constexpr std::int32_t kColumns = 6;                   // of a tile
 constexpr std::int64_t kDepth = 96;  // columns whose tile of rows stays in the first cache
 
 inline Vector load(const double* p) { return *reinterpret_cast<const Vector*>(p); }
@@ -48,17 +48,30 @@ template <int R, int N>
   }
 }
 
-// Calls f with the number of vectors and of columns as compile-time constants.
-template <int R = kVectors, class F>
-[[gnu::always_inline]] inline void with_tile(std::int64_t vectors, bool full, F f) {
-  if constexpr (R > 1) {
-    if (vectors < R) return with_tile<R - 1>(vectors, full, f);
+// Calls f with what is left, at most kMost, as a compile-time constant.
+template <int kMost, class F>
+[[gnu::always_inline]] inline auto with_constant(std::int64_t left, F f) {
+  if constexpr (kMost > 1) {
+    if (left < kMost) return with_constant<kMost - 1>(left, f);
   }
-  if (full) {
-    f.template operator()<R, kColumns>();
-  } else {
-    f.template operator()<R, 3>();
-  }
+  return f.template operator()<kMost>();
+}
+
+// The same for the columns of a tile. Large functions that f calls are not inlined, lest all share
+// one frame.
+template <class F>
+[[gnu::always_inline]] inline auto with_columns(std::int64_t left, F f) {
+  if (left >= kColumns) return f.template operator()<kColumns>();
+  if (left == 3) return f.template operator()<3>();  // blocks of 3 leave no other
+  return with_constant<kColumns - 1>(left, f);
+}
+
+// Calls f with the number of vectors and of columns of the next tile.
+template <class F>
+[[gnu::always_inline]] inline void with_tile(std::int64_t vectors, std::int64_t columns, F f) {
+  with_columns(columns, [&]<int N>() {
+    with_constant<kVectors>(vectors, [&]<int R>() { f.template operator()<R, N>(); });
+  });
 }
 
 }  // namespace

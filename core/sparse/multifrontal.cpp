@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <limits>
 
+#include "sparse/block_size.hpp"
+
 namespace masat {
 namespace {
 
@@ -87,8 +89,10 @@ template <class Threads>
 void Multifrontal::process(std::int32_t f, int rank, Threads&& threads) {
   constexpr std::int32_t kPanel = Kernels::kPanel, kTile = Kernels::kTile;
   const Front front = layout_.front(f, factor_.data(), contribution(f, rank));
-  threads.for_each(chunks(front.pivots, kPanel), [&](std::int32_t i, int) {
-    assemble_pivots(front, f, rank, i * kPanel, std::min((i + 1) * kPanel, front.pivots));
+  // About a panel, of whole blocks.
+  const std::int32_t whole = kPanel / layout_.block_size() * layout_.block_size();
+  threads.for_each(chunks(front.pivots, whole), [&](std::int32_t i, int) {
+    assemble_pivots(front, f, rank, i * whole, std::min((i + 1) * whole, front.pivots));
   });
   eliminate(front, f, threads);
   if (layout_.first(f) + front.pivots > broken_.load(std::memory_order_relaxed)) return;
@@ -110,7 +114,7 @@ void Multifrontal::assemble_pivots(const Front& front, std::int32_t f, int rank,
   std::fill(front.l11 + begin * front.ld11, front.l11 + end * front.ld11, 0.0);
   std::fill(front.l21 + begin * front.ld21, front.l21 + end * front.ld21, 0.0);
   const int d = layout_.block_size();
-  const auto copy = d == 3 ? copy_block<3> : copy_block<6>;
+  const auto copy = with_block_size(d, []<int kSize>() { return copy_block<kSize>; });
   const std::int32_t first = layout_.tree().first[f];
   for (std::int32_t k = first + begin / d; k < first + end / d; ++k) {
     for (const BlockEntry& entry : layout_.entries(k)) {

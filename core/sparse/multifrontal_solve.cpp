@@ -1,5 +1,6 @@
 #include <algorithm>
 
+#include "sparse/block_size.hpp"
 #include "sparse/multifrontal.hpp"
 
 namespace masat {
@@ -43,7 +44,7 @@ void Multifrontal::solve_blocks(double* x) const {
 }
 
 void Multifrontal::solve(std::span<double> x) {
-  layout_.block_size() == 3 ? solve_blocks<3>(x.data()) : solve_blocks<6>(x.data());
+  with_block_size(layout_.block_size(), [&]<int kSize>() { solve_blocks<kSize>(x.data()); });
 }
 
 }  // namespace masat
