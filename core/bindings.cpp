@@ -15,7 +15,7 @@
 #include "lie/se2.hpp"
 #include "lie/se3.hpp"
 #include "optimizers/normal_equations.hpp"
-#include "sparse/elimination.hpp"
+#include "sparse/graph_matrix.hpp"
 #include "text/records.hpp"
 
 namespace nb = nanobind;
@@ -181,15 +181,62 @@ nb::tuple adjacency_of(const Elimination& elimination) {
   return nb::make_tuple(as_array(std::move(start)), as_array(std::move(neighbours)));
 }
 
+std::unique_ptr<GraphMatrix> make_matrix(std::shared_ptr<Elimination> elimination, int block_size,
+                                         int threads) {
+  require(block_size >= 1 && block_size <= 6, "blocks have 1 to 6 rows");
+  nb::gil_scoped_release release;
+  return std::make_unique<GraphMatrix>(std::move(elimination), block_size, threads);
+}
+
+Array<double> assembled(GraphMatrix& matrix, const Topology& graph, const Stack& first,
+                        const Stack& joint, const Stack& second, const Stack& values) {
+  const std::size_t d = matrix.block_size(), columns = values.shape(2);
+  for (const Stack* blocks : {&first, &joint, &second}) {
+    require(
+        blocks->shape(0) == graph.edges().size() && blocks->shape(1) == d && blocks->shape(2) == d,
+        "the blocks of the edges must be (m, d, d)");
+  }
+  require(graph.nodes() == matrix.elimination()->nodes() &&
+              static_cast<std::int64_t>(graph.edges().size()) == matrix.elimination()->edges(),
+          "the elimination must be of the same graph");
+  require(values.shape(0) == static_cast<std::size_t>(graph.nodes()) && values.shape(1) == d,
+          "values must be (n, d, k)");
+  std::vector<double> forcing(matrix.rows() * columns);
+  {
+    nb::gil_scoped_release release;
+    matrix.assemble(graph, first.data(), joint.data(), second.data(), values.data(),
+                    static_cast<int>(columns), forcing.data());
+  }
+  return as_array(std::move(forcing), {matrix.rows() / d, d, columns});
+}
+
+void check_rows(const GraphMatrix& matrix, const Stack& v) {
+  const std::size_t d = matrix.block_size();
+  require(v.shape(0) * d == static_cast<std::size_t>(matrix.rows()) && v.shape(1) == d,
+          "a table must be (free nodes, d, k)");
+}
+
+// A copy of v, changed without the interpreter lock.
+template <class F>
+Array<double> changed(const GraphMatrix& matrix, const Stack& v, F change) {
+  check_rows(matrix, v);
+  std::vector<double> out(v.data(), v.data() + v.size());
+  {
+    nb::gil_scoped_release release;
+    change(out, static_cast<int>(v.shape(2)));
+  }
+  return as_array(std::move(out), {v.shape(0), v.shape(1), v.shape(2)});
+}
+
 std::unique_ptr<NormalEquations> make_equations(const Topology& graph,
                                                 std::shared_ptr<Elimination> elimination,
                                                 const Table<double>& measurements,
                                                 const Stack& information, int threads) {
   const std::size_t m = graph.edges().size();
   require(measurements.shape(0) == m && information.shape(0) == m, "one row an edge");
-  require(elimination->nodes() == graph.nodes() &&
-              elimination->edges() == static_cast<std::int64_t>(m),
-          "the elimination must be of the same graph");
+  require(
+      elimination->nodes() == graph.nodes() && elimination->edges() == static_cast<std::int64_t>(m),
+      "the elimination must be of the same graph");
   nb::gil_scoped_release release;
   return with_group(
       measurements.shape(1), [&]<class Group>(Group*) -> std::unique_ptr<NormalEquations> {
@@ -254,6 +301,45 @@ Array<double> moved(const NormalEquations& equations, const Table<double>& poses
     equations.retract(p, step.data(), out.data());
   }
   return as_array(std::move(out), {poses.shape(0), poses.shape(1)});
+}
+
+nb::object settled(NormalEquations& equations, const Table<double>& poses) {
+  const double* const p = check_poses(equations, poses);
+  std::vector<double> out(poses.size());
+  std::int32_t broken;
+  {
+    nb::gil_scoped_release release;
+    broken = equations.settle(p, out.data());
+  }
+  if (broken >= 0) return nb::int_(broken);
+  return nb::cast(as_array(std::move(out), {poses.shape(0), poses.shape(1)}));
+}
+
+// Rows of d x d matrices, d being 2 or 3, and poses.
+Array<double> rotations_of(const Table<double>& poses) {
+  const std::size_t size = poses.shape(1), n = poses.shape(0), d = size == SE2::kSize ? 2 : 3;
+  std::vector<double> out(n * d * d);
+  {
+    nb::gil_scoped_release release;
+    with_group(size, [&]<class Group>(Group*) {
+      using Rows = Eigen::Matrix<double, Group::kDimension, Group::kDimension, Eigen::RowMajor>;
+      for (std::size_t i = 0; i < n; ++i) {
+        Eigen::Map<Rows>(&out[i * d * d]) = Group::load(poses.data() + i * size).rotation();
+      }
+    });
+  }
+  return as_array(std::move(out), {n, d, d});
+}
+
+Array<double> nearest_rotations(const Stack& matrices) {
+  const std::size_t n = matrices.shape(0), d = matrices.shape(1);
+  require(d == matrices.shape(2) && (d == 2 || d == 3), "matrices must be (n, 2, 2) or (n, 3, 3)");
+  const std::size_t size = d == 2 ? SE2::kSize : SE3::kSize;
+  return map_poses(n, size, size, [&]<class Group>(Group*, std::size_t i, double* out) {
+    using Rows = Eigen::Matrix<double, Group::kDimension, Group::kDimension, Eigen::RowMajor>;
+    const std::size_t step = Group::kDimension * Group::kDimension;
+    Group::nearest(Eigen::Map<const Rows>(matrices.data() + i * step)).store(out);
+  });
 }
 
 nb::dict parse_text(const nb::bytes& text, const std::vector<Record>& records) {
@@ -328,6 +414,8 @@ NB_MODULE(_core, m) {
   m.def("inverse", &inverse, "a"_a);
   m.def("retract", &retract, "a"_a, "step"_a);
   m.def("local", &local, "a"_a, "b"_a);
+  m.def("rotation_matrices", &rotations_of, "poses"_a);
+  m.def("nearest_rotations", &nearest_rotations, "matrices"_a);
   m.def("indefinite", &indefinite, "matrices"_a);
 
   nb::class_<Topology>(m, "Topology")
@@ -352,6 +440,35 @@ NB_MODULE(_core, m) {
       .def("adjacency", &adjacency_of)
       .def("fill", &Elimination::fill, "block_size"_a)
       .def("operations", &Elimination::operations, "block_size"_a);
+
+  nb::class_<GraphMatrix>(m, "GraphMatrix")
+      .def(nb::new_(&make_matrix), "elimination"_a, "block_size"_a, "threads"_a = 1)
+      .def("assemble", &assembled, "topology"_a, "first"_a, "joint"_a, "second"_a, "values"_a)
+      .def(
+          "factorize",
+          [](GraphMatrix& matrix, const Vector<double>& damping) {
+            require(damping.shape(0) == static_cast<std::size_t>(matrix.rows()),
+                    "damping must have an entry a row");
+            nb::gil_scoped_release release;
+            return matrix.factorize(span_of(damping));
+          },
+          "damping"_a)
+      .def(
+          "multiply",
+          [](const GraphMatrix& matrix, const Stack& v) {
+            return changed(matrix, v, [&](std::vector<double>& out, int columns) {
+              matrix.multiply(v.data(), columns, out.data());
+            });
+          },
+          "v"_a)
+      .def(
+          "solve",
+          [](const GraphMatrix& matrix, const Stack& rhs) {
+            return changed(matrix, rhs, [&](std::vector<double>& out, int columns) {
+              matrix.solve(out, columns);
+            });
+          },
+          "rhs"_a);
 
   nb::class_<NormalEquations>(m, "NormalEquations")
       .def(nb::new_(&make_equations), "topology"_a, "elimination"_a, "measurements"_a,
@@ -405,7 +522,8 @@ NB_MODULE(_core, m) {
           "damping"_a)
       .def("solve", &step_of)
       .def("inverse", &inverse_of, "rows"_a, "columns"_a)
-      .def("retract", &moved, "poses"_a, "step"_a);
+      .def("retract", &moved, "poses"_a, "step"_a)
+      .def("settle", &settled, "poses"_a);
 
   nb::enum_<Kind>(m, "Kind")
       .value("VERTEX", Kind::kVertex)

@@ -48,6 +48,16 @@ struct SE2 {
   }
   SE2 inverse() const { return {-c * x - s * y, s * x - c * y, -theta, c, -s}; }
 
+  static constexpr int kDimension = 2;
+  using Rotation = Eigen::Matrix2d;
+  Rotation rotation() const { return (Rotation() << c, -s, s, c).finished(); }
+  // At the origin, with the rotation nearest to a matrix: Re(trace) and curl give its heading.
+  static SE2 nearest(const Rotation& m) {
+    const double sine = m(1, 0) - m(0, 1), cosine = m(0, 0) + m(1, 1);
+    const double pose[] = {0, 0, sine == 0 && cosine == 0 ? 0.0 : std::atan2(sine, cosine)};
+    return load(pose);
+  }
+
   // this * (dx, dy, dtheta)
   static SE2 from_tangent(const double* d) { return load(d); }
 

@@ -3,6 +3,7 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <Eigen/SVD>
 #include <cmath>
 #include <cstdint>
 
@@ -28,6 +29,17 @@ struct SE3 {
 
   SE3 operator*(const SE3& b) const { return {t + q * b.t, q * b.q}; }
   SE3 inverse() const { return {-(q.conjugate() * t), q.conjugate()}; }
+
+  static constexpr int kDimension = 3;
+  using Rotation = Eigen::Matrix3d;
+  Rotation rotation() const { return q.toRotationMatrix(); }
+  // At the origin, with the rotation nearest to a matrix (Umeyama, PAMI 1991).
+  static SE3 nearest(const Rotation& m) {
+    const Eigen::JacobiSVD<Rotation> svd(m, Eigen::ComputeFullU | Eigen::ComputeFullV);
+    Rotation u = svd.matrixU();
+    if ((u * svd.matrixV().transpose()).determinant() < 0) u.col(2) = -u.col(2);
+    return {Eigen::Vector3d::Zero(), Eigen::Quaterniond(Rotation(u * svd.matrixV().transpose()))};
+  }
 
   // (translation, vector part of the unit quaternion), g2o's minimal parametrisation. A vector
   // part longer than 1 belongs to no rotation: the half turn about it is the nearest.

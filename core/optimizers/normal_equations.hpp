@@ -37,6 +37,9 @@ class NormalEquations {
   virtual void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                        double* out) const = 0;
   virtual void retract(const double* poses, const double* step, double* out) const = 0;
+  // Writes the poses with the translations that minimise chi2 at these rotations; returns -1, or
+  // the node at which they are not determined.
+  virtual std::int32_t settle(const double* poses, double* out) = 0;
 };
 
 template <class Group>
@@ -68,9 +71,7 @@ class NormalEquationsOf final : public NormalEquations {
   int pose_size() const override { return kSize; }
   std::int32_t nodes() const override { return elimination().nodes(); }
   std::int64_t edges() const override { return static_cast<std::int64_t>(edges_.size()); }
-  std::span<const std::int32_t> free_nodes() const override {
-    return elimination().free_nodes();
-  }
+  std::span<const std::int32_t> free_nodes() const override { return elimination().free_nodes(); }
   std::span<const double> rhs() const override { return rhs_; }
 
   double chi2(const double* poses) override {
@@ -148,8 +149,33 @@ class NormalEquationsOf final : public NormalEquations {
     }
   }
 
+  // Errors are linear in the translations: one Gauss-Newton step in them is exact.
+  std::int32_t settle(const double* poses, double* out) override {
+    constexpr int kDimension = Group::kDimension;
+    linearize(poses);
+    GraphMatrix translations(matrix_.elimination(), kDimension);
+    const double* from = matrix_.values().data();
+    for (double* to = translations.values().data();
+         from != matrix_.values().data() + matrix_.values().size(); from += kBlock) {
+      for (int j = 0; j < kDimension; ++j) to = std::copy_n(from + j * kDof, kDimension, to);
+    }
+    std::vector<double> step(rhs_.size()), rhs(translations.rows()), undamped(rhs.size());
+    const auto unknowns = static_cast<std::int64_t>(free_nodes().size());
+    for (std::int64_t k = 0; k < unknowns; ++k) {
+      std::copy_n(&rhs_[k * kDof], kDimension, &rhs[k * kDimension]);
+    }
+    const std::int32_t broken = translations.factorize(undamped);
+    if (broken >= 0) return free_nodes()[broken];
+    translations.solve(rhs);
+    for (std::int64_t k = 0; k < unknowns; ++k) {
+      std::copy_n(&rhs[k * kDimension], kDimension, &step[k * kDof]);
+    }
+    retract(poses, step.data(), out);
+    return -1;
+  }
+
  private:
-  const Elimination& elimination() const { return matrix_.elimination(); }
+  const Elimination& elimination() const { return *matrix_.elimination(); }
   static Eigen::Map<Square> block(double* values) { return Eigen::Map<Square>(values); }
   Eigen::Map<Tangent> segment(std::int32_t f) {
     return Eigen::Map<Tangent>(&rhs_[std::int64_t{kDof} * f]);

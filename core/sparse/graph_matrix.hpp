@@ -19,9 +19,18 @@ class GraphMatrix {
 
   int block_size() const { return d_; }
   std::int64_t rows() const { return std::int64_t{d_} * pattern().columns(); }
-  const Elimination& elimination() const { return *elimination_; }
+  const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
+
+  // Sets H to the sum over the edges of the forms
+  //     x_from' first x_from + 2 x_from' joint x_to + x_to' second x_to,
+  // each edge's blocks row-major, and adds to `forcing` what the values of the held nodes make of
+  // the right-hand side: -H_fh x_h. `values` has d rows for every node, `forcing` for the free
+  // ones.
+  void assemble(const Topology& graph, const double* first, const double* joint,
+                const double* second, const double* values, int columns, double* forcing);
 
   void set_zero() { std::fill(values_.begin(), values_.end(), 0.0); }
+  std::span<double> values() { return values_; }
   // Blocks, column-major: that of a free node by its place, and that of an edge's pair of free
   // nodes, whose rows are those of the node with the greater place.
   double* node_block(std::int32_t place) {
@@ -35,24 +44,26 @@ class GraphMatrix {
   // out = H v
   void multiply(const double* v, int columns, double* out) const;
   // Factorises H plus a diagonal; returns -1, or the place at which it is not positive definite.
+  // The first time lays out the factor.
   std::int32_t factorize(std::span<const double> damping) {
-    return cholesky_.factorize(values_, damping);
+    if (!cholesky_) cholesky_ = std::make_unique<BlockCholesky>(*elimination_, d_, threads_);
+    return cholesky_->factorize(values_, damping);
   }
   // Overwrites right-hand sides with the solutions of what was factorised.
-  void solve(std::span<double> rhs) const { cholesky_.solve(rhs); }
+  void solve(std::span<double> rhs, int columns = 1) const { cholesky_->solve(rhs, columns); }
   // Blocks of the inverse of what was factorised, by places, each row-major.
   void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                double* out) const {
-    cholesky_.inverse(rows, columns, out);
+    cholesky_->inverse(rows, columns, out);
   }
 
  private:
   const BlockPattern& pattern() const { return elimination_->pattern(); }
 
   std::shared_ptr<const Elimination> elimination_;
-  int d_;
+  int d_, threads_;
   std::vector<double> values_;
-  BlockCholesky cholesky_;
+  std::unique_ptr<BlockCholesky> cholesky_;
 };
 
 }  // namespace masat

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from masat.errors import InitializationError, MasatWarning
 from masat.graph import PoseGraph
+from masat.initializers.chordal import chordal
 from masat.initializers.given import given
 from masat.initializers.masat import masat
 from masat.initializers.odometry import odometry
@@ -24,6 +25,7 @@ INITIALIZERS: dict[str, Initializer] = {
     "odometry": odometry,
     "spanning_tree": spanning_tree,
     "masat": masat,
+    "chordal": chordal,
     "given": given,
 }
 

@@ -45,3 +45,22 @@ def roots_of(graph: PoseGraph, root: int | None) -> tuple[Indices, Floats, list[
             f"{shown}: nothing measures how they lie to each other"
         )
     return places.astype(np.int32), poses, notes
+
+
+def anchored(graph: PoseGraph) -> tuple[Floats, list[str]]:
+    """Return poses with the anchors placed, for starts that have no root, and what to tell."""
+    _, poses, notes = roots_of(graph, None)
+    return poses, notes
+
+
+def rooted(graph: PoseGraph, poses: Floats, root: int | None, notes: list[str]) -> PoseGraph:
+    """Return the graph with poses, moved such that the root lies at the identity."""
+    if root is None:
+        return graph.with_poses(poses, notes=notes)
+    roots_of(graph, root)  # refuses a root that fixed nodes exclude
+    place = graph.index(root)
+    if root not in graph.fixed:
+        own = graph.components == graph.components[place]
+        poses = poses.copy()
+        poses[own] = lie.between(poses[place], poses[own])
+    return graph.with_poses(poses, notes=notes)

@@ -1,0 +1,23 @@
+"""The chordal relaxation."""
+
+from __future__ import annotations
+
+from masat.graph import PoseGraph
+from masat.initializers import quadratic
+from masat.initializers.roots import anchored, rooted
+
+
+def chordal(graph: PoseGraph, root: int | None = None) -> PoseGraph:
+    """Solve for all rotations at once as for free matrices, and then for all positions.
+
+    Minimises the weighted |R_j - R_i R|^2 over matrices, takes the nearest rotations, and then the
+    positions that minimise chi2: two linear systems, whatever the noise. Sources: Martinec and
+    Pajdla, Robust rotation and translation estimation in multiview reconstruction, CVPR 2007;
+    Carlone, Tron, Daniilidis, Dellaert, Initialization techniques for 3D SLAM, ICRA 2015.
+    """
+    poses, notes = anchored(graph)
+    weights = quadratic.isotropic_weights(graph)
+    form = quadratic.rotation_form(graph, weights.rotation)
+    unknowns = quadratic.minimise(graph, form, quadratic.rotations(poses))
+    turned = quadratic.nearest_rotations(graph, poses, unknowns)
+    return rooted(graph, quadratic.settle(graph, turned), root, notes)

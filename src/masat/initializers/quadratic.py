@@ -1,0 +1,141 @@
+"""Quadratic problems on a graph: what the linear starts solve.
+
+A node's unknown is a matrix X (d, k); an edge from i to j adds the trace of
+X_i' first X_i + 2 X_i' joint X_j + X_j' second X_j. The anchors hold still.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from masat import _core
+from masat.arrays import Floats
+from masat.errors import InitializationError
+from masat.graph import PoseGraph
+from masat.optimizers.equations import normal_equations
+
+
+class Weights(NamedTuple):
+    """One number an edge, (m,), for its rotation and its translation."""
+
+    rotation: Floats
+    translation: Floats
+
+
+class Form(NamedTuple):
+    """The blocks of the edges, (m, d, d) each."""
+
+    first: Floats
+    joint: Floats
+    second: Floats
+
+
+def isotropic_weights(graph: PoseGraph) -> Weights:
+    """Return the isotropic surrogates of the information matrices.
+
+    A translation weighs d / trace(inverse of its block). A rotation's weight makes the chordal
+    cost, weight |R_j - R_i R|^2, equal the chi2 of small errors: half the information of an angle
+    in 2D, an eighth of that of the quaternion's vector part in 3D. Source: Rosen, Carlone,
+    Bandeira, Leonard, SE-Sync, IJRR 2019, section 3.
+    """
+    d = graph.dimension
+    rotation, translation = graph.information[:, d:, d:], graph.information[:, :d, :d]
+    if d == 2:
+        return Weights(rotation[:, 0, 0] / 2, 2 / _trace_of_inverse(translation))
+    return Weights(3 / _trace_of_inverse(rotation) / 8, 3 / _trace_of_inverse(translation))
+
+
+def _trace_of_inverse(a: Floats) -> Floats:
+    """Return the traces of the inverses of positive definite matrices, (m, 2, 2) or (m, 3, 3)."""
+    minor = a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0]
+    if a.shape[1] == 2:
+        return np.asarray((a[:, 0, 0] + a[:, 1, 1]) / minor)
+    right = a[:, 1, 1] * a[:, 2, 2] - a[:, 1, 2] * a[:, 2, 1]
+    outer = a[:, 0, 0] * a[:, 2, 2] - a[:, 0, 2] * a[:, 2, 0]
+    below = a[:, 1, 0] * a[:, 2, 2] - a[:, 1, 2] * a[:, 2, 0]
+    last = a[:, 1, 0] * a[:, 2, 1] - a[:, 1, 1] * a[:, 2, 0]
+    determinant = a[:, 0, 0] * right - a[:, 0, 1] * below + a[:, 0, 2] * last
+    return np.asarray((minor + right + outer) / determinant)
+
+
+def rotation_form(graph: PoseGraph, weight: Floats) -> Form:
+    """Return the form of weight |R_j - R_i R|^2, the unknowns being X_i = R_i'."""
+    d = graph.dimension
+    same = weight[:, None, None] * np.eye(d)
+    return Form(same, -weight[:, None, None] * _core.rotation_matrices(graph.measurements), same)
+
+
+def pose_form(graph: PoseGraph, weights: Weights) -> Form:
+    """Return the form of rotation |R_j - R_i R|^2 + translation |t_j - t_i - R_i t|^2.
+
+    The unknowns are X_i = [R_i t_i]', (d + 1, d).
+    """
+    d, m = graph.dimension, len(graph.edges)
+    kappa, tau = (w[:, None, None] for w in weights)
+    t = np.empty((m, d + 1, 1))
+    t[:, :d, 0] = graph.measurements[:, :d]
+    t[:, d, 0] = 1
+    first = tau * t * t.transpose(0, 2, 1)
+    first[:, :d, :d] += kappa * np.eye(d)
+    joint = np.zeros((m, d + 1, d + 1))
+    joint[:, :d, :d] = -kappa * _core.rotation_matrices(graph.measurements)
+    joint[:, :, d:] = -tau * t
+    second = np.zeros((m, d + 1, d + 1))
+    second[:, range(d), range(d)] = kappa[:, 0]
+    second[:, d, d] = tau[:, 0, 0]
+    return Form(first, joint, second)
+
+
+def minimise(graph: PoseGraph, form: Form, values: Floats) -> Floats:
+    """Return the unknowns that minimise a form, (n, d, k).
+
+    Of `values`, (n, d, k), those of the anchors stand.
+    """
+    free = graph.elimination.free_nodes()
+    solution = values.copy()
+    if len(free) == 0:
+        return solution
+    matrix = _core.GraphMatrix(graph.elimination, values.shape[1])
+    forcing = matrix.assemble(graph.topology, *form, values)
+    broken = matrix.factorize(np.zeros(forcing.shape[0] * forcing.shape[1]))
+    if broken >= 0:
+        raise InitializationError(
+            f"the edges around node {graph.ids[free[broken]]} do not determine it"
+        )
+    solution[free] = matrix.solve(forcing)
+    return solution
+
+
+def rotations(poses: Floats) -> Floats:
+    """Return the unknowns X_i = R_i' of poses, (n, d, d)."""
+    return np.ascontiguousarray(_core.rotation_matrices(poses).transpose(0, 2, 1))
+
+
+def nearest_rotations(graph: PoseGraph, poses: Floats, unknowns: Floats) -> Floats:
+    """Return poses with the rotations nearest to unknowns X_i = R_i', (n, d, d).
+
+    Translations, and the poses of the anchors, stand.
+    """
+    turned = _core.nearest_rotations(np.ascontiguousarray(unknowns.transpose(0, 2, 1)))
+    turned[:, : graph.dimension] = poses[:, : graph.dimension]
+    held = graph.index(graph.anchors)
+    turned[held] = poses[held]
+    return turned
+
+
+def settle(graph: PoseGraph, poses: Floats) -> Floats:
+    """Return the poses with the translations that minimise chi2 at their rotations.
+
+    With the full information matrices: chi2 is quadratic in the translations. Source: Carlone,
+    Tron, Daniilidis, Dellaert, Initialization techniques for 3D SLAM, ICRA 2015, section II.
+    """
+    if len(graph.elimination.free_nodes()) == 0:
+        return poses
+    settled = normal_equations(graph).settle(poses)
+    if isinstance(settled, int):
+        raise InitializationError(
+            f"the edges around node {graph.ids[settled]} do not determine its position"
+        )
+    return settled
