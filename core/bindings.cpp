@@ -12,6 +12,7 @@
 #include "graph/information.hpp"
 #include "graph/topology.hpp"
 #include "initializers/placement.hpp"
+#include "initializers/toro.hpp"
 #include "lie/se2.hpp"
 #include "lie/se3.hpp"
 #include "optimizers/normal_equations.hpp"
@@ -226,6 +227,18 @@ Array<double> changed(const GraphMatrix& matrix, const Stack& v, F change) {
     change(out, static_cast<int>(v.shape(2)));
   }
   return as_array(std::move(out), {v.shape(0), v.shape(1), v.shape(2)});
+Array<double> toro_placement(const Topology& graph, const Vector<std::int32_t>& roots,
+                             const Table<double>& measurements, const Stack& information,
+                             const Table<double>& poses, int sweeps) {
+  check_roots(graph, span_of(roots));
+  check_poses(graph, measurements, poses);
+  require(sweeps >= 0, "sweeps must not be negative");
+  return placed(poses, [&]<class Group>(Group*, double* p) {
+    require(information.shape(0) == graph.edges().size() && information.shape(1) == Group::kDof &&
+                information.shape(2) == Group::kDof,
+            "information must be (m, d, d)");
+    place_by_toro<Group>(graph, span_of(roots), measurements.data(), information.data(), sweeps, p);
+  });
 }
 
 std::unique_ptr<NormalEquations> make_equations(const Topology& graph,
@@ -429,6 +442,8 @@ NB_MODULE(_core, m) {
   m.def("place_along_tree", &tree_placement, "topology"_a, "roots"_a, "preferred"_a,
         "measurements"_a, "poses"_a);
   m.def("place_by_masat", &masat_placement, "topology"_a, "roots"_a, "measurements"_a, "poses"_a);
+  m.def("place_by_toro", &toro_placement, "topology"_a, "roots"_a, "measurements"_a,
+        "information"_a, "poses"_a, "sweeps"_a);
 
   nb::class_<Elimination>(m, "Elimination")
       .def(nb::new_(&make_elimination), "topology"_a, "held"_a, "order"_a)

@@ -145,10 +145,16 @@ def test_compare_lists_each_start(run, world, tmp_path):
     code, text, _ = run("compare", world, "--optimizer", "gn", "--plot", tmp_path / "p.png")
     assert code == 0
     lines = text.splitlines()
-    for start in ("odometry", "spanning_tree", "masat", "given"):
+    for start in ("odometry", "spanning_tree", "masat", "toro", "given"):
         assert any(start in line and "best" in line for line in lines)
     said = json.loads(run("compare", world, "--json")[1])
-    assert [s["init"] for s in said["starts"]] == ["odometry", "spanning_tree", "masat", "given"]
+    assert [s["init"] for s in said["starts"]] == [
+        "odometry",
+        "spanning_tree",
+        "masat",
+        "toro",
+        "given",
+    ]
 
 
 def test_convert_loses_nothing(run, tmp_path):

@@ -41,6 +41,10 @@ def test_arrays_that_do_not_fit_are_refused():
         _core.place_by_masat(topology(), np.array([0], np.int32), a, a)
     with pytest.raises(ValueError, match="preferred"):
         _core.place_along_tree(topology(), np.array([0], np.int32), np.ones(3, bool), a[:1], a)
+    with pytest.raises(ValueError, match=r"\(m, d, d\)"):
+        _core.place_by_toro(topology(), np.array([0], np.int32), a[:1], np.zeros((1, 6, 6)), a, 1)
+    with pytest.raises(ValueError, match="sweeps"):
+        _core.place_by_toro(topology(), np.array([0], np.int32), a[:1], np.eye(3)[None], a, -1)
 
 
 def test_an_elimination_refuses_what_does_not_fit():

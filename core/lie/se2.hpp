@@ -61,7 +61,13 @@ struct SE2 {
   // this * (dx, dy, dtheta)
   static SE2 from_tangent(const double* d) { return load(d); }
 
+  using Vector = Eigen::Vector2d;
+  Vector translation() const { return {x, y}; }
+  // The same rotation elsewhere.
+  SE2 at(const Vector& to) const { return {to.x(), to.y(), theta, c, s}; }
+
   class Mean;
+  class Turn;
 };
 
 // An array of poses with the trigonometry done in one pass.
@@ -103,6 +109,19 @@ class SE2::Mean {
  private:
   SE2 sum_, first_;
   int count_ = 1;
+};
+
+// The rotation of a pose, of which fractions can be taken.
+class SE2::Turn {
+ public:
+  explicit Turn(const SE2& p) : angle_(wrap_angle(p.theta)) {}
+  SE2 operator()(double fraction) const {
+    const double d[kSize] = {0, 0, fraction * angle_};
+    return load(d);
+  }
+
+ private:
+  double angle_;
 };
 
 // g2o's EDGE_SE2 error: (x, y, theta) of z^-1 (a^-1 b).

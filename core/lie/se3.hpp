@@ -7,6 +7,8 @@
 #include <cmath>
 #include <cstdint>
 
+#include "lie/sincos.hpp"
+
 namespace masat {
 
 struct SE3 {
@@ -55,7 +57,13 @@ struct SE3 {
     return {Eigen::Map<const Eigen::Vector3d>(d), Eigen::Quaterniond(w, v.x(), v.y(), v.z())};
   }
 
+  using Vector = Eigen::Vector3d;
+  const Vector& translation() const { return t; }
+  // The same rotation elsewhere.
+  SE3 at(const Vector& to) const { return {to, q}; }
+
   class Mean;
+  class Turn;
 };
 
 // An array of poses.
@@ -103,6 +111,26 @@ inline Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
   return m;
 }
 }  // namespace detail
+
+// The rotation of a pose, of which fractions can be taken: by the shorter way about a fixed axis.
+class SE3::Turn {
+ public:
+  explicit Turn(const SE3& p) {
+    const Eigen::Quaterniond q = detail::with_positive_w(p.q);
+    const double sine = q.vec().norm();
+    half_ = std::atan2(sine, q.w());
+    if (sine > 0) axis_ = q.vec() / sine;
+  }
+  SE3 operator()(double fraction) const {
+    const SinCos r = sincos(fraction * half_);
+    const Eigen::Vector3d v = r.sin * axis_;
+    return {Eigen::Vector3d::Zero(), Eigen::Quaterniond(r.cos, v.x(), v.y(), v.z())};
+  }
+
+ private:
+  Eigen::Vector3d axis_ = Eigen::Vector3d::Zero();
+  double half_ = 0;  // of the angle
+};
 
 // g2o's EDGE_SE3:QUAT error: (translation, vector part of the quaternion with w >= 0) of
 // z^-1 (a^-1 b).

@@ -31,6 +31,14 @@ def place_along_tree(
 def place_by_masat(
     topology: Topology, roots: Indices, measurements: Floats, poses: Floats
 ) -> Floats: ...
+def place_by_toro(
+    topology: Topology,
+    roots: Indices,
+    measurements: Floats,
+    information: Floats,
+    poses: Floats,
+    sweeps: int,
+) -> Floats: ...
 
 class Elimination:
     def __init__(self, topology: Topology, held: Flags, order: Indices) -> None: ...

@@ -12,6 +12,7 @@ from masat.initializers.given import given
 from masat.initializers.masat import masat
 from masat.initializers.odometry import odometry
 from masat.initializers.spanning_tree import spanning_tree
+from masat.initializers.toro import toro
 
 
 class Initializer(Protocol):
@@ -26,6 +27,7 @@ INITIALIZERS: dict[str, Initializer] = {
     "spanning_tree": spanning_tree,
     "masat": masat,
     "chordal": chordal,
+    "toro": toro,
     "given": given,
 }
 
