@@ -227,6 +227,8 @@ Array<double> changed(const GraphMatrix& matrix, const Stack& v, F change) {
     change(out, static_cast<int>(v.shape(2)));
   }
   return as_array(std::move(out), {v.shape(0), v.shape(1), v.shape(2)});
+}
+
 Array<double> toro_placement(const Topology& graph, const Vector<std::int32_t>& roots,
                              const Table<double>& measurements, const Stack& information,
                              const Table<double>& poses, int sweeps) {
@@ -337,7 +339,7 @@ Array<double> rotations_of(const Table<double>& poses) {
     with_group(size, [&]<class Group>(Group*) {
       using Rows = Eigen::Matrix<double, Group::kDimension, Group::kDimension, Eigen::RowMajor>;
       for (std::size_t i = 0; i < n; ++i) {
-        Eigen::Map<Rows>(&out[i * d * d]) = Group::load(poses.data() + i * size).rotation();
+        Eigen::Map<Rows>{&out[i * d * d]} = Group::load(poses.data() + i * size).rotation();
       }
     });
   }

@@ -34,19 +34,28 @@ std::int32_t BlockCholesky::factorize(std::span<const double> values,
   return broken < 0 ? -1 : impl_->layout.tree().order[broken];
 }
 
-void BlockCholesky::solve(std::span<double> rhs) const {
-  const int d = impl_->layout.block_size();
+void BlockCholesky::solve(std::span<double> rhs, int columns) const {
   const std::vector<std::int32_t>& order = impl_->layout.tree().order;
-  double* permuted = impl_->permuted.data();
-  for (const std::int32_t node : order) {
-    permuted = std::copy_n(rhs.data() + std::int64_t{node} * d, d, permuted);
-  }
-  impl_->factor.solve(impl_->permuted);
-  const double* solved = impl_->permuted.data();
-  for (const std::int32_t node : order) {
-    std::copy_n(solved, d, rhs.data() + std::int64_t{node} * d);
-    solved += d;
-  }
+  std::vector<double>& permuted = impl_->permuted;
+  const int d = impl_->layout.block_size(), width = columns == 1 ? 1 : kernels().width;
+  // Groups of `width` columns, zeros making up the last.
+  permuted.resize(order.size() * d * ((columns + width - 1) / width * width));
+  if (columns % width != 0) std::fill(permuted.begin(), permuted.end(), 0.0);
+  const auto exchange = [&](auto copy) {
+    double* packed = permuted.data();
+    for (int first = 0; first < columns; first += width) {
+      const int count = std::min(width, columns - first);
+      for (const std::int32_t node : order) {
+        double* own = rhs.data() + std::int64_t{node} * d * columns + first;
+        for (int i = 0; i < d; ++i, own += columns, packed += width) {
+          for (int c = 0; c < count; ++c) copy(own[c], packed[c]);
+        }
+      }
+    }
+  };
+  exchange([](double& own, double& packed) { packed = own; });
+  impl_->factor.solve(permuted, width);
+  exchange([](double& own, double& packed) { own = packed; });
 }
 
 void BlockCholesky::inverse(std::span<const std::int32_t> rows,

@@ -21,8 +21,9 @@ class BlockCholesky {
   // changes. Returns -1, or the block at which the matrix is not positive definite.
   std::int32_t factorize(std::span<const double> values, std::span<const double> damping);
 
-  // Overwrites the right-hand side with the solution. One thread at a time.
-  void solve(std::span<double> rhs) const;
+  // Overwrites the right-hand sides, the columns of a row-major matrix, with the solutions. One
+  // thread at a time.
+  void solve(std::span<double> rhs, int columns = 1) const;
 
   // Writes the blocks of the inverse at (rows[k], columns[k]), each row-major.
   void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,

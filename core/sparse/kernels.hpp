@@ -33,6 +33,7 @@ struct Kernels {
   static constexpr std::int32_t kTile = 32;
 
   std::int32_t lanes;
+  std::int32_t width;  // right-hand sides that the wide solves take at once
 
   // Factorises the diagonal block of the panel of columns that begins at `begin`, all panels before
   // being done. Keeps the pivots' reciprocals. Returns -1, or the column whose pivot is not greater
@@ -52,6 +53,9 @@ struct Kernels {
   void (*forward)(const Front& front, const double* reciprocal, double* x, double* y);
   // x = l11'^-1 (x - l21' y).
   void (*backward)(const Front& front, const double* reciprocal, double* x, const double* y);
+  // The same for `width` right-hand sides, side by side in each row of x and y.
+  void (*forward_wide)(const Front& front, const double* reciprocal, double* x, double* y);
+  void (*backward_wide)(const Front& front, const double* reciprocal, double* x, const double* y);
 };
 
 const Kernels& kernels();

@@ -1,4 +1,4 @@
-// Triangular solves with the pivots of a front, for one right-hand side.
+// Triangular solves with the pivots of a front, for one right-hand side or for kWidth side by side.
 #pragma once
 
 #include "sparse/kernels.hpp"
@@ -7,8 +7,20 @@
 namespace masat {
 namespace {
 
-// The sum of a vector, by halves.
-inline double sum_of(Vector v) {
+// A row of several right-hand sides, and of kCount.
+typedef double Wide __attribute__((vector_size(8 * kWidth), may_alias));
+template <int kCount>
+struct Row {
+  typedef double Value;
+  typedef Vector Sum;
+};
+template <>
+struct Row<kWidth> {
+  typedef Wide Value, Sum;
+};
+
+// x -= the sum of a vector, by halves.
+inline void subtract_sum(double& x, const Vector& v) {
 #if MASAT_LANES == 8
   const auto four =
       __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
@@ -19,8 +31,9 @@ inline double sum_of(Vector v) {
 #else
   const auto two = v;
 #endif
-  return two[0] + two[1];
+  x -= two[0] + two[1];
 }
+inline void subtract_sum(Wide& x, const Wide& sum) { x -= sum; }
 
 // y -= a x (or y = a x) over R vectors of rows.
 template <int R, bool kOverwrite>
@@ -48,6 +61,24 @@ template <bool kOverwrite>
   }
 }
 
+template <bool kOverwrite>
+[[gnu::always_inline]] inline void apply(const double* a, std::int64_t lda, const Wide* x,
+                                         std::int64_t columns, std::int64_t rows, Wide* y) {
+  for (std::int64_t k = 0; k < columns; k += kColumns, a += kColumns * lda, x += kColumns) {
+    with_columns(columns - k, [&]<int N>() {
+      for (std::int64_t i = 0; i < rows; ++i) {
+        Wide sum = kOverwrite && k == 0 ? Wide{} : y[i];
+#pragma GCC unroll 8
+        for (int n = 0; n < N; ++n) {
+          const Wide product = x[n] * a[n * lda + i];
+          sum = kOverwrite ? sum + product : sum - product;
+        }
+        y[i] = sum;
+      }
+    });
+  }
+}
+
 // sum += a' y for N columns.
 template <int N>
 [[gnu::always_inline]] inline void add_transposed(const double* a, std::int64_t lda,
@@ -60,13 +91,28 @@ template <int N>
   }
 }
 
-// The N columns at `j`: solves for them, and subtracts them from the pivots below.
 template <int N>
+[[gnu::always_inline]] inline void add_transposed(const double* a, std::int64_t lda, const Wide* y,
+                                                  std::int64_t rows, Wide (&sum)[N]) {
+  Wide odd[N] = {};
+  for (std::int64_t i = 0; i < rows; i += 2) {
+#pragma GCC unroll 8
+    for (int n = 0; n < N; ++n) {
+      sum[n] += y[i] * a[n * lda + i];
+      odd[n] += y[i + 1] * a[n * lda + i + 1];
+    }
+  }
+#pragma GCC unroll 8
+  for (int n = 0; n < N; ++n) sum[n] += odd[n];
+}
+
+// The N columns at `j`: solves for them, and subtracts them from the pivots below.
+template <int N, int kCount>
 [[gnu::noinline]] void forward_columns(const Front& front, std::int32_t j, const double* reciprocal,
-                                       double* x) {
+                                       typename Row<kCount>::Value* x) {
   const std::int64_t ld = front.ld11;
   const double* const l = front.l11 + j * ld;
-  double solved[N];
+  typename Row<kCount>::Value solved[N];
 #pragma GCC unroll 8
   for (int n = 0; n < N; ++n) {
     solved[n] = x[j + n];
@@ -81,24 +127,25 @@ template <int N>
   for (int n = 0; n < N; ++n) x[j + n] = solved[n];
 }
 
-template <int N>
+template <int N, int kCount>
 [[gnu::noinline]] void backward_columns(const Front& front, std::int32_t j,
-                                        const double* reciprocal, double* x, const double* y) {
+                                        const double* reciprocal, typename Row<kCount>::Value* x,
+                                        const typename Row<kCount>::Value* y) {
   const std::int64_t ld = front.ld11;
   const double* const l = front.l11 + j * ld;
-  double own[N];
+  typename Row<kCount>::Value own[N];
 #pragma GCC unroll 8
   for (int n = 0; n < N; ++n) {
     own[n] = x[j + n];
-    x[j + n] = 0;
+    x[j + n] = typename Row<kCount>::Value{};
   }
   const std::int32_t top = round_down(j + N);
-  Vector sum[N] = {};
+  typename Row<kCount>::Sum sum[N] = {};
   add_transposed<N>(l + top, ld, x + top, round_up(front.pivots) - top, sum);
   add_transposed<N>(front.l21 + j * front.ld21, front.ld21, y, round_up(front.rows), sum);
 #pragma GCC unroll 8
   for (int n = N - 1; n >= 0; --n) {
-    own[n] -= sum_of(sum[n]);
+    subtract_sum(own[n], sum[n]);
 #pragma GCC unroll 8
     for (int k = n + 1; k < N; ++k) own[n] -= l[n * ld + j + k] * own[k];
     own[n] *= reciprocal[j + n];
@@ -106,17 +153,24 @@ template <int N>
   }
 }
 
-void forward(const Front& front, const double* reciprocal, double* x, double* y) {
+template <int kCount>
+void forward(const Front& front, const double* reciprocal, double* pivots, double* rows) {
+  auto* const x = reinterpret_cast<typename Row<kCount>::Value*>(pivots);
+  auto* const y = reinterpret_cast<typename Row<kCount>::Value*>(rows);
   for (std::int32_t j = 0; j < front.pivots; j += kColumns) {
-    with_columns(front.pivots - j, [&]<int N>() { forward_columns<N>(front, j, reciprocal, x); });
+    with_columns(front.pivots - j,
+                 [&]<int N>() { forward_columns<N, kCount>(front, j, reciprocal, x); });
   }
   apply<true>(front.l21, front.ld21, x, front.pivots, round_up(front.rows), y);
 }
 
-void backward(const Front& front, const double* reciprocal, double* x, const double* y) {
+template <int kCount>
+void backward(const Front& front, const double* reciprocal, double* pivots, const double* rows) {
+  auto* const x = reinterpret_cast<typename Row<kCount>::Value*>(pivots);
+  const auto* const y = reinterpret_cast<const typename Row<kCount>::Value*>(rows);
   for (std::int32_t j = (front.pivots - 1) / kColumns * kColumns; j >= 0; j -= kColumns) {
     with_columns(front.pivots - j,
-                 [&]<int N>() { backward_columns<N>(front, j, reciprocal, x, y); });
+                 [&]<int N>() { backward_columns<N, kCount>(front, j, reciprocal, x, y); });
   }
 }
 

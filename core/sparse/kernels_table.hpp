@@ -8,7 +8,8 @@
 namespace masat {
 
 extern const Kernels MASAT_KERNELS;
-const Kernels MASAT_KERNELS = {kLanes,     factor_diagonal, solve_rows, update_rows,
-                               extend_add, forward,         backward};
+const Kernels MASAT_KERNELS = {kLanes,          kWidth,          factor_diagonal, solve_rows,
+                               update_rows,     extend_add,      forward<1>,      backward<1>,
+                               forward<kWidth>, backward<kWidth>};
 
 }  // namespace masat

@@ -9,20 +9,21 @@ namespace {
 typedef double Vector __attribute__((vector_size(8 * MASAT_LANES), may_alias));
 
 constexpr std::int32_t kLanes = MASAT_LANES;
-constexpr std::int32_t kVectors = MASAT_TILE_VECTORS;  // rows of a tile
-constexpr std::int32_t kColumns = 6;                   // of a tile
+constexpr std::int32_t kVectors = MASAT_TILE_VECTORS;     // rows of a tile
+constexpr std::int32_t kColumns = 6;                      // of a tile
+constexpr std::int32_t kWidth = kLanes < 4 ? kLanes : 4;  // right-hand sides solved at once
 constexpr std::int64_t kDepth = 96;  // columns whose tile of rows stays in the first cache
 
 inline Vector load(const double* p) { return *reinterpret_cast<const Vector*>(p); }
 inline void store(double* p, Vector v) { *reinterpret_cast<Vector*>(p) = v; }
 
-template <class Int>
+template <std::int32_t kStep = kLanes, class Int>
 constexpr Int round_down(Int x) {
-  return x & -Int{kLanes};
+  return x & -Int{kStep};
 }
-template <class Int>
+template <std::int32_t kStep = kLanes, class Int>
 constexpr Int round_up(Int x) {
-  return round_down(x + kLanes - 1);
+  return round_down<kStep>(x + kStep - 1);
 }
 
 // sum = a b' for R vectors of rows of a and N rows of b.

@@ -44,7 +44,7 @@ Multifrontal::Multifrontal(const FrontLayout& layout, const Kernels& kernels, in
   for (std::int32_t f = 0; f < layout.fronts(); ++f) {
     widest = std::max({widest, layout.shape(f).ld11, layout.shape(f).ld21});
   }
-  gathered_ = AlignedBuffer(2 * widest);
+  gathered_ = AlignedBuffer(2 * widest * kernels.width);
 }
 
 std::int32_t Multifrontal::factorize(std::span<const double> values,

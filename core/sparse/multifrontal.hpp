@@ -23,8 +23,9 @@ class Multifrontal {
   // same for any number of threads.
   std::int32_t factorize(std::span<const double> values, std::span<const double> damping);
 
-  // Overwrites a right-hand side, in the elimination order, with the solution.
-  void solve(std::span<double> x);
+  // Overwrites right-hand sides, in the elimination order, with the solutions. A row has `width`
+  // of them side by side, one or as many as the kernels' `width`; more follow in further groups.
+  void solve(std::span<double> x, int width);
 
   // A front of the factor; its contribution block is gone.
   Front front(std::int32_t f) const { return layout_.front(f, factor_.data()); }
@@ -40,8 +41,8 @@ class Multifrontal {
   template <class Threads>
   void eliminate(const Front& front, std::int32_t f, Threads&& threads);
   bool matters(std::int32_t f) const;
-  template <int kSize>
-  void solve_blocks(double* x) const;
+  template <class Size>
+  void solve_blocks(std::span<double> x, int width, Size block) const;
   void report_broken(std::int64_t column);
 
   const FrontLayout& layout_;
