@@ -13,6 +13,7 @@
 #include "graph/topology.hpp"
 #include "initializers/placement.hpp"
 #include "initializers/toro.hpp"
+#include "initializers/translations.hpp"
 #include "lie/se2.hpp"
 #include "lie/se3.hpp"
 #include "optimizers/normal_equations.hpp"
@@ -243,6 +244,22 @@ Array<double> toro_placement(const Topology& graph, const Vector<std::int32_t>& 
   });
 }
 
+// The poses, and -1 or the node whose translation is not determined.
+nb::tuple settled(const Topology& graph, std::shared_ptr<Elimination> elimination,
+                  const Table<double>& measurements, const Stack& information,
+                  const Table<double>& poses) {
+  check_poses(graph, measurements, poses);
+  std::int32_t broken = -1;
+  auto out = placed(poses, [&]<class Group>(Group*, double* p) {
+    require(information.shape(0) == graph.edges().size() && information.shape(1) == Group::kDof &&
+                information.shape(2) == Group::kDof,
+            "information must be (m, d, d)");
+    broken = settle_translations<Group>(graph, std::move(elimination), measurements.data(),
+                                        information.data(), p);
+  });
+  return nb::make_tuple(out, broken);
+}
+
 std::unique_ptr<NormalEquations> make_equations(const Topology& graph,
                                                 std::shared_ptr<Elimination> elimination,
                                                 const Table<double>& measurements,
@@ -316,18 +333,6 @@ Array<double> moved(const NormalEquations& equations, const Table<double>& poses
     equations.retract(p, step.data(), out.data());
   }
   return as_array(std::move(out), {poses.shape(0), poses.shape(1)});
-}
-
-nb::object settled(NormalEquations& equations, const Table<double>& poses) {
-  const double* const p = check_poses(equations, poses);
-  std::vector<double> out(poses.size());
-  std::int32_t broken;
-  {
-    nb::gil_scoped_release release;
-    broken = equations.settle(p, out.data());
-  }
-  if (broken >= 0) return nb::int_(broken);
-  return nb::cast(as_array(std::move(out), {poses.shape(0), poses.shape(1)}));
 }
 
 // Rows of d x d matrices, d being 2 or 3, and poses.
@@ -487,6 +492,9 @@ NB_MODULE(_core, m) {
           },
           "rhs"_a);
 
+  m.def("settle_translations", &settled, "topology"_a, "elimination"_a, "measurements"_a,
+        "information"_a, "poses"_a);
+
   nb::class_<NormalEquations>(m, "NormalEquations")
       .def(nb::new_(&make_equations), "topology"_a, "elimination"_a, "measurements"_a,
            "information"_a, "threads"_a = 1)
@@ -539,8 +547,7 @@ NB_MODULE(_core, m) {
           "damping"_a)
       .def("solve", &step_of)
       .def("inverse", &inverse_of, "rows"_a, "columns"_a)
-      .def("retract", &moved, "poses"_a, "step"_a)
-      .def("settle", &settled, "poses"_a);
+      .def("retract", &moved, "poses"_a, "step"_a);
 
   nb::enum_<Kind>(m, "Kind")
       .value("VERTEX", Kind::kVertex)

@@ -37,9 +37,6 @@ class NormalEquations {
   virtual void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                        double* out) const = 0;
   virtual void retract(const double* poses, const double* step, double* out) const = 0;
-  // Writes the poses with the translations that minimise chi2 at these rotations; returns -1, or
-  // the node at which they are not determined.
-  virtual std::int32_t settle(const double* poses, double* out) = 0;
 };
 
 template <class Group>
@@ -147,31 +144,6 @@ class NormalEquationsOf final : public NormalEquations {
         (Group::load(from) * Group::from_tangent(step + std::int64_t{kDof} * f)).store(to);
       }
     }
-  }
-
-  // Errors are linear in the translations: one Gauss-Newton step in them is exact.
-  std::int32_t settle(const double* poses, double* out) override {
-    constexpr int kDimension = Group::kDimension;
-    linearize(poses);
-    GraphMatrix translations(matrix_.elimination(), kDimension);
-    const double* from = matrix_.values().data();
-    for (double* to = translations.values().data();
-         from != matrix_.values().data() + matrix_.values().size(); from += kBlock) {
-      for (int j = 0; j < kDimension; ++j) to = std::copy_n(from + j * kDof, kDimension, to);
-    }
-    std::vector<double> step(rhs_.size()), rhs(translations.rows()), undamped(rhs.size());
-    const auto unknowns = static_cast<std::int64_t>(free_nodes().size());
-    for (std::int64_t k = 0; k < unknowns; ++k) {
-      std::copy_n(&rhs_[k * kDof], kDimension, &rhs[k * kDimension]);
-    }
-    const std::int32_t broken = translations.factorize(undamped);
-    if (broken >= 0) return free_nodes()[broken];
-    translations.solve(rhs);
-    for (std::int64_t k = 0; k < unknowns; ++k) {
-      std::copy_n(&rhs[k * kDimension], kDimension, &step[k * kDof]);
-    }
-    retract(poses, step.data(), out);
-    return -1;
   }
 
  private:

@@ -1,6 +1,7 @@
 #include "sparse/elimination.hpp"
 
 #include <algorithm>
+#include <stdexcept>
 
 #include "sparse/ordering.hpp"
 
@@ -59,6 +60,16 @@ BlockPattern Elimination::find_pattern(const Topology& graph) {
   }
   pattern.start.push_back(static_cast<std::int64_t>(pattern.row.size()));
   return pattern;
+}
+
+const FrontLayout& Elimination::layout(int d) const {
+  if (d < 1 || d > 6) throw std::invalid_argument("blocks are of 1 to 6 rows");
+  const std::lock_guard<std::mutex> lock(mutex_);
+  std::unique_ptr<FrontLayout>& layout = layouts_[d - 1];
+  if (!layout) {
+    layout = std::make_unique<FrontLayout>(pattern_, adjacency_, tree_, d, kernels().lanes);
+  }
+  return *layout;
 }
 
 std::int64_t Elimination::fill(int d) const {

@@ -1,13 +1,17 @@
-// How the systems of a graph are eliminated: found once, whatever the size of their blocks.
+// How the systems of a graph are eliminated: found once, and shared by all of them.
 #pragma once
 
+#include <array>
 #include <cstdint>
+#include <memory>
+#include <mutex>
 #include <span>
 #include <vector>
 
 #include "graph/topology.hpp"
 #include "sparse/block_pattern.hpp"
 #include "sparse/elimination_tree.hpp"
+#include "sparse/front_layout.hpp"
 
 namespace masat {
 
@@ -36,6 +40,9 @@ class Elimination {
   std::int64_t fill(int d) const;
   double operations(int d) const;
 
+  // The fronts of the factor of d x d blocks, d from 1 to 6; laid out when first asked for.
+  const FrontLayout& layout(int d) const;
+
  private:
   BlockPattern find_pattern(const Topology& graph);
 
@@ -44,6 +51,8 @@ class Elimination {
   BlockPattern pattern_;
   BlockGraph adjacency_;
   EliminationTree tree_;
+  mutable std::array<std::unique_ptr<FrontLayout>, 6> layouts_;
+  mutable std::mutex mutex_;
 };
 
 }  // namespace masat

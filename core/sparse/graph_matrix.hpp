@@ -30,7 +30,6 @@ class GraphMatrix {
                 const double* second, const double* values, int columns, double* forcing);
 
   void set_zero() { std::fill(values_.begin(), values_.end(), 0.0); }
-  std::span<double> values() { return values_; }
   // Blocks, column-major: that of a free node by its place, and that of an edge's pair of free
   // nodes, whose rows are those of the node with the greater place.
   double* node_block(std::int32_t place) {
@@ -44,7 +43,6 @@ class GraphMatrix {
   // out = H v
   void multiply(const double* v, int columns, double* out) const;
   // Factorises H plus a diagonal; returns -1, or the place at which it is not positive definite.
-  // The first time lays out the factor.
   std::int32_t factorize(std::span<const double> damping) {
     if (!cholesky_) cholesky_ = std::make_unique<BlockCholesky>(*elimination_, d_, threads_);
     return cholesky_->factorize(values_, damping);

@@ -14,7 +14,6 @@ from masat import _core
 from masat.arrays import Floats
 from masat.errors import InitializationError
 from masat.graph import PoseGraph
-from masat.optimizers.equations import normal_equations
 
 
 class Weights(NamedTuple):
@@ -131,11 +130,11 @@ def settle(graph: PoseGraph, poses: Floats) -> Floats:
     With the full information matrices: chi2 is quadratic in the translations. Source: Carlone,
     Tron, Daniilidis, Dellaert, Initialization techniques for 3D SLAM, ICRA 2015, section II.
     """
-    if len(graph.elimination.free_nodes()) == 0:
-        return poses
-    settled = normal_equations(graph).settle(poses)
-    if isinstance(settled, int):
+    settled, broken = _core.settle_translations(
+        graph.topology, graph.elimination, graph.measurements, graph.information, poses
+    )
+    if broken >= 0:
         raise InitializationError(
-            f"the edges around node {graph.ids[settled]} do not determine its position"
+            f"the edges around node {graph.ids[broken]} do not determine its position"
         )
     return settled
