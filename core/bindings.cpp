@@ -17,6 +17,7 @@
 #include "lie/se2.hpp"
 #include "lie/se3.hpp"
 #include "optimizers/normal_equations.hpp"
+#include "relaxation/lifted.hpp"
 #include "sparse/graph_matrix.hpp"
 #include "text/records.hpp"
 
@@ -185,7 +186,7 @@ nb::tuple adjacency_of(const Elimination& elimination) {
 
 std::unique_ptr<GraphMatrix> make_matrix(std::shared_ptr<Elimination> elimination, int block_size,
                                          int threads) {
-  require(block_size >= 1 && block_size <= 6, "blocks have 1 to 6 rows");
+  require(block_size >= 1 && block_size <= kLargestBlock, "blocks have 1 to 10 rows");
   nb::gil_scoped_release release;
   return std::make_unique<GraphMatrix>(std::move(elimination), block_size, threads);
 }
@@ -242,6 +243,51 @@ Array<double> toro_placement(const Topology& graph, const Vector<std::int32_t>& 
             "information must be (m, d, d)");
     place_by_toro<Group>(graph, span_of(roots), measurements.data(), information.data(), sweeps, p);
   });
+}
+
+// Calls f with the lifted problem of a matrix, for the rank that x has.
+template <class F>
+void with_lifted(const GraphMatrix& matrix, const Stack& forcing, double constant, const Stack& x,
+                 F f) {
+  check_rows(matrix, x);
+  check_rows(matrix, forcing);
+  require(forcing.shape(2) == x.shape(2), "x and the forcing must have as many columns");
+  const auto rank = x.shape(2);
+  const auto call = [&]<int D, int P>() { f(Lifted<D, P>(matrix, forcing.data(), constant)); };
+  if (matrix.block_size() == 3 && rank == 2) {
+    call.template operator()<2, 2>();
+  } else if (matrix.block_size() == 3 && rank == 3) {
+    call.template operator()<2, 3>();
+  } else if (matrix.block_size() == 3 && rank == 4) {
+    call.template operator()<2, 4>();
+  } else if (matrix.block_size() == 4 && rank == 3) {
+    call.template operator()<3, 3>();
+  } else {
+    require(matrix.block_size() == 4 && rank == 4, "ranks are 2 to 4 in 2D, 3 and 4 in 3D");
+    call.template operator()<3, 4>();
+  }
+}
+
+nb::tuple minimise_lifted(const GraphMatrix& matrix, const Stack& forcing, double constant,
+                          const Stack& start, double decrease, double damping, int steps) {
+  std::vector<double> x(start.data(), start.data() + start.size());
+  LiftedOutcome outcome;
+  with_lifted(matrix, forcing, constant, start, [&](auto problem) {
+    const nb::gil_scoped_release release;
+    outcome = problem.minimise(x, {decrease, damping, steps});
+  });
+  return nb::make_tuple(as_array(std::move(x), {start.shape(0), start.shape(1), start.shape(2)}),
+                        outcome.cost, outcome.steps, outcome.converged);
+}
+
+double lifted_gap(const GraphMatrix& matrix, const Stack& forcing, double constant, const Stack& x,
+                  double shift) {
+  double gap = 0;
+  with_lifted(matrix, forcing, constant, x, [&](auto problem) {
+    const nb::gil_scoped_release release;
+    gap = problem.gap({x.data(), x.data() + x.size()}, shift);
+  });
+  return gap;
 }
 
 // The poses, and -1 or the node whose translation is not determined.
@@ -492,6 +538,10 @@ NB_MODULE(_core, m) {
           },
           "rhs"_a);
 
+  m.def("minimise_lifted", &minimise_lifted, "matrix"_a, "forcing"_a, "constant"_a, "start"_a,
+        "decrease"_a, "damping"_a, "steps"_a);
+  m.def("lifted_gap", &lifted_gap, "matrix"_a, "forcing"_a, "constant"_a, "x"_a,
+        "shift"_a);
   m.def("settle_translations", &settled, "topology"_a, "elimination"_a, "measurements"_a,
         "information"_a, "poses"_a);
 

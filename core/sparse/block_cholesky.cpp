@@ -1,10 +1,8 @@
 #include "sparse/block_cholesky.hpp"
 
 #include <algorithm>
-#include <stdexcept>
 #include <vector>
 
-#include "sparse/front_layout.hpp"
 #include "sparse/multifrontal.hpp"
 #include "sparse/selected_inverse.hpp"
 
@@ -12,18 +10,16 @@ namespace masat {
 
 struct BlockCholesky::Impl {
   Impl(const Elimination& elimination, int d, int threads)
-      : layout(elimination.pattern(), elimination.adjacency(), elimination.tree(), d,
-               kernels().lanes),
+      : layout(elimination.layout(d)),
         factor(layout, kernels(), threads),
         permuted(elimination.free_nodes().size() * d) {}
 
-  FrontLayout layout;
+  const FrontLayout& layout;
   Multifrontal factor;
   std::vector<double> permuted;
 };
 
 BlockCholesky::BlockCholesky(const Elimination& elimination, int block_size, int threads) {
-  if (block_size < 1 || block_size > 6) throw std::invalid_argument("blocks are of 1 to 6 rows");
   impl_ = std::make_unique<Impl>(elimination, block_size, std::max(threads, 1));
 }
 BlockCholesky::~BlockCholesky() = default;

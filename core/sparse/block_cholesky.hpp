@@ -11,8 +11,8 @@ namespace masat {
 
 class BlockCholesky {
  public:
-  // Lays out the fronts of the factor. Blocks have 1 to 6 rows. Results do not depend on the
-  // number of threads.
+  // Blocks have 1 to 10 rows. Results do not depend on the number of threads. The elimination must
+  // outlive it.
   BlockCholesky(const Elimination& elimination, int block_size, int threads = 1);
   ~BlockCholesky();
 

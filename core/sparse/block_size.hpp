@@ -1,24 +1,19 @@
 #pragma once
 
+#include <stdexcept>
+#include <utility>
+
 namespace masat {
 
-// Calls f with the rows of a block, 1 to 6, as a compile-time constant.
+constexpr int kLargestBlock = 10;
+
+// Calls f with the rows of a block, 1 to 10, as a compile-time constant.
 template <class F>
-auto with_block_size(int size, F f) {
-  switch (size) {
-    case 1:
-      return f.template operator()<1>();
-    case 2:
-      return f.template operator()<2>();
-    case 3:
-      return f.template operator()<3>();
-    case 4:
-      return f.template operator()<4>();
-    case 5:
-      return f.template operator()<5>();
-    default:
-      return f.template operator()<6>();
-  }
+void with_block_size(int size, F f) {
+  if (size < 1 || size > kLargestBlock) throw std::invalid_argument("blocks are of 1 to 10 rows");
+  [&]<int... kSmaller>(std::integer_sequence<int, kSmaller...>) {
+    ((size == kSmaller + 1 ? f.template operator()<kSmaller + 1>() : void()), ...);
+  }(std::make_integer_sequence<int, kLargestBlock>());
 }
 
 }  // namespace masat

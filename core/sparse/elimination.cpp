@@ -63,7 +63,7 @@ BlockPattern Elimination::find_pattern(const Topology& graph) {
 }
 
 const FrontLayout& Elimination::layout(int d) const {
-  if (d < 1 || d > 6) throw std::invalid_argument("blocks are of 1 to 6 rows");
+  if (d < 1 || d > kLargestBlock) throw std::invalid_argument("blocks are of 1 to 10 rows");
   const std::lock_guard<std::mutex> lock(mutex_);
   std::unique_ptr<FrontLayout>& layout = layouts_[d - 1];
   if (!layout) {

@@ -10,6 +10,7 @@
 
 #include "graph/topology.hpp"
 #include "sparse/block_pattern.hpp"
+#include "sparse/block_size.hpp"
 #include "sparse/elimination_tree.hpp"
 #include "sparse/front_layout.hpp"
 
@@ -40,7 +41,7 @@ class Elimination {
   std::int64_t fill(int d) const;
   double operations(int d) const;
 
-  // The fronts of the factor of d x d blocks, d from 1 to 6; laid out when first asked for.
+  // The fronts of the factor of d x d blocks, d from 1 to 10; laid out when first asked for.
   const FrontLayout& layout(int d) const;
 
  private:
@@ -51,7 +52,7 @@ class Elimination {
   BlockPattern pattern_;
   BlockGraph adjacency_;
   EliminationTree tree_;
-  mutable std::array<std::unique_ptr<FrontLayout>, 6> layouts_;
+  mutable std::array<std::unique_ptr<FrontLayout>, kLargestBlock> layouts_;
   mutable std::mutex mutex_;
 };
 

@@ -17,6 +17,13 @@ class GraphMatrix {
  public:
   GraphMatrix(std::shared_ptr<const Elimination> elimination, int block_size, int threads = 1);
 
+  // A copy is not factorised.
+  GraphMatrix(const GraphMatrix& other)
+      : elimination_(other.elimination_),
+        d_(other.d_),
+        threads_(other.threads_),
+        values_(other.values_) {}
+
   int block_size() const { return d_; }
   std::int64_t rows() const { return std::int64_t{d_} * pattern().columns(); }
   const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
@@ -30,14 +37,12 @@ class GraphMatrix {
                 const double* second, const double* values, int columns, double* forcing);
 
   void set_zero() { std::fill(values_.begin(), values_.end(), 0.0); }
-  // Blocks, column-major: that of a free node by its place, and that of an edge's pair of free
+  // Blocks, column-major: that of an entry of the pattern, that of a free node by its place, and that of an edge's pair of free
   // nodes, whose rows are those of the node with the greater place.
-  double* node_block(std::int32_t place) {
-    return values_.data() + pattern().start[place] * d_ * d_;
-  }
-  double* joint_block(std::int64_t edge) {
-    return values_.data() + elimination_->joint(edge) * d_ * d_;
-  }
+  double* block(std::int64_t entry) { return values_.data() + entry * d_ * d_; }
+  const double* block(std::int64_t entry) const { return values_.data() + entry * d_ * d_; }
+  double* node_block(std::int32_t place) { return block(pattern().start[place]); }
+  double* joint_block(std::int64_t edge) { return block(elimination_->joint(edge)); }
 
   void diagonal(double* out) const;
   // out = H v
@@ -55,9 +60,9 @@ class GraphMatrix {
     cholesky_->inverse(rows, columns, out);
   }
 
- private:
   const BlockPattern& pattern() const { return elimination_->pattern(); }
 
+ private:
   std::shared_ptr<const Elimination> elimination_;
   int d_, threads_;
   std::vector<double> values_;

@@ -7,16 +7,19 @@
 namespace masat {
 namespace {
 
-// A row of several right-hand sides, and of kCount.
 typedef double Wide __attribute__((vector_size(8 * kWidth), may_alias));
+
+// A row of one right-hand side, or of kWidth side by side.
 template <int kCount>
 struct Row {
   typedef double Value;
   typedef Vector Sum;
+  static constexpr std::int32_t kStep = kLanes;  // rows taken at once
 };
 template <>
 struct Row<kWidth> {
   typedef Wide Value, Sum;
+  static constexpr std::int32_t kStep = 2;
 };
 
 // x -= the sum of a vector, by halves.
@@ -61,12 +64,22 @@ template <bool kOverwrite>
   }
 }
 
+// Taken row by row, the next columns come late from memory unless asked for ahead.
+template <int N>
+[[gnu::always_inline]] inline void prefetch(const double* a, std::int64_t lda, std::int64_t row) {
+  constexpr std::int64_t kLine = 8;
+  if (row % kLine != 0) return;
+#pragma GCC unroll 8
+  for (int n = 0; n < N; ++n) __builtin_prefetch(a + n * lda + row);
+}
+
 template <bool kOverwrite>
 [[gnu::always_inline]] inline void apply(const double* a, std::int64_t lda, const Wide* x,
                                          std::int64_t columns, std::int64_t rows, Wide* y) {
   for (std::int64_t k = 0; k < columns; k += kColumns, a += kColumns * lda, x += kColumns) {
     with_columns(columns - k, [&]<int N>() {
       for (std::int64_t i = 0; i < rows; ++i) {
+        prefetch<N>(a + kColumns * lda, lda, i);
         Wide sum = kOverwrite && k == 0 ? Wide{} : y[i];
 #pragma GCC unroll 8
         for (int n = 0; n < N; ++n) {
@@ -96,6 +109,7 @@ template <int N>
                                                   std::int64_t rows, Wide (&sum)[N]) {
   Wide odd[N] = {};
   for (std::int64_t i = 0; i < rows; i += 2) {
+    prefetch<N>(a - kColumns * lda, lda, i);
 #pragma GCC unroll 8
     for (int n = 0; n < N; ++n) {
       sum[n] += y[i] * a[n * lda + i];
@@ -120,9 +134,10 @@ template <int N, int kCount>
     for (int k = 0; k < n; ++k) solved[n] -= l[k * ld + j + n] * solved[k];
     solved[n] *= reciprocal[j + n];
   }
-  // Above the diagonal are zeros, and what this makes of the columns' own part is not kept.
-  const std::int32_t top = round_down(j);
-  apply<false>(l + top, ld, solved, N, round_up(front.pivots) - top, x + top);
+  // What this makes of the columns' own part is not kept.
+  constexpr std::int32_t kStep = Row<kCount>::kStep;
+  const std::int32_t top = round_down<kStep>(j + N);
+  apply<false>(l + top, ld, solved, N, round_up<kStep>(front.pivots) - top, x + top);
 #pragma GCC unroll 8
   for (int n = 0; n < N; ++n) x[j + n] = solved[n];
 }
@@ -139,10 +154,11 @@ template <int N, int kCount>
     own[n] = x[j + n];
     x[j + n] = typename Row<kCount>::Value{};
   }
-  const std::int32_t top = round_down(j + N);
+  constexpr std::int32_t kStep = Row<kCount>::kStep;
+  const std::int32_t top = round_down<kStep>(j + N);
   typename Row<kCount>::Sum sum[N] = {};
-  add_transposed<N>(l + top, ld, x + top, round_up(front.pivots) - top, sum);
-  add_transposed<N>(front.l21 + j * front.ld21, front.ld21, y, round_up(front.rows), sum);
+  add_transposed<N>(l + top, ld, x + top, round_up<kStep>(front.pivots) - top, sum);
+  add_transposed<N>(front.l21 + j * front.ld21, front.ld21, y, round_up<kStep>(front.rows), sum);
 #pragma GCC unroll 8
   for (int n = N - 1; n >= 0; --n) {
     subtract_sum(own[n], sum[n]);
@@ -161,7 +177,7 @@ void forward(const Front& front, const double* reciprocal, double* pivots, doubl
     with_columns(front.pivots - j,
                  [&]<int N>() { forward_columns<N, kCount>(front, j, reciprocal, x); });
   }
-  apply<true>(front.l21, front.ld21, x, front.pivots, round_up(front.rows), y);
+  apply<true>(front.l21, front.ld21, x, front.pivots, round_up<Row<kCount>::kStep>(front.rows), y);
 }
 
 template <int kCount>

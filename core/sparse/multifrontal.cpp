@@ -114,7 +114,8 @@ void Multifrontal::assemble_pivots(const Front& front, std::int32_t f, int rank,
   std::fill(front.l11 + begin * front.ld11, front.l11 + end * front.ld11, 0.0);
   std::fill(front.l21 + begin * front.ld21, front.l21 + end * front.ld21, 0.0);
   const int d = layout_.block_size();
-  const auto copy = with_block_size(d, []<int kSize>() { return copy_block<kSize>; });
+  void (*copy)(double*, std::int64_t, const double*, bool) = nullptr;
+  with_block_size(d, [&]<int kSize>() { copy = copy_block<kSize>; });
   const std::int32_t first = layout_.tree().first[f];
   for (std::int32_t k = first + begin / d; k < first + end / d; ++k) {
     for (const BlockEntry& entry : layout_.entries(k)) {

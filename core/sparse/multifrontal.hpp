@@ -41,8 +41,8 @@ class Multifrontal {
   template <class Threads>
   void eliminate(const Front& front, std::int32_t f, Threads&& threads);
   bool matters(std::int32_t f) const;
-  template <class Size>
-  void solve_blocks(std::span<double> x, int width, Size block) const;
+  template <class Width, class Block>
+  void solve_blocks(std::span<double> x, Width width, Block block) const;
   void report_broken(std::int64_t column);
 
   const FrontLayout& layout_;

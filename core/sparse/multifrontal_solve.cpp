@@ -6,9 +6,9 @@
 
 namespace masat {
 
-// `block` scalars of x are those of a block row: a constant where there is one right-hand side.
-template <class Size>
-void Multifrontal::solve_blocks(std::span<double> x, int width, Size block) const {
+// `block` scalars of x are those of a block row. Constants where there is one right-hand side.
+template <class Width, class Block>
+void Multifrontal::solve_blocks(std::span<double> x, Width width, Block block) const {
   const AssemblyTree& tree = layout_.tree();
   const auto group = static_cast<std::int64_t>(reciprocal_.size()) * width;
   const auto forward = width == 1 ? kernels_.forward : kernels_.forward_wide;
@@ -53,9 +53,11 @@ void Multifrontal::solve_blocks(std::span<double> x, int width, Size block) cons
 }
 
 void Multifrontal::solve(std::span<double> x, int width) {
-  if (width > 1) return solve_blocks(x, width, layout_.block_size() * width);
-  with_block_size(layout_.block_size(),
-                  [&]<int kSize>() { solve_blocks(x, 1, std::integral_constant<int, kSize>{}); });
+  const int block = layout_.block_size();
+  if (width > 1) return solve_blocks(x, width, block * width);
+  with_block_size(block, [&]<int kSize>() {
+    solve_blocks(x, std::integral_constant<int, 1>{}, std::integral_constant<int, kSize>{});
+  });
 }
 
 }  // namespace masat

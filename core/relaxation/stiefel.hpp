@@ -1,0 +1,60 @@
+// The tangent space of a node's lifted pose: orthonormal coordinates for its frame.
+#pragma once
+
+#include <Eigen/Core>
+
+namespace masat {
+
+// A frame is D orthonormal rows of P numbers; its tangent space has kDof dimensions.
+template <int D, int P>
+struct Stiefel {
+  static constexpr int kTurns = D * (D - 1) / 2, kDof = kTurns + D * (P - D);
+  using Frame = Eigen::Matrix<double, D, P, Eigen::RowMajor>;
+  using Square = Eigen::Matrix<double, D, D>;
+  // Its columns are frames, row by row.
+  using Basis = Eigen::Matrix<double, D * P, kDof>;
+
+  static Square symmetric(const Frame& a, const Frame& b) {
+    const Square product = a * b.transpose();
+    return (product + product.transpose()) / 2;
+  }
+
+  // Turns among the rows, and turns of each row out of their span.
+  static Basis basis(const Frame& y) {
+    Basis out = Basis::Zero();
+    int column = 0;
+    for (int i = 0; i < D; ++i) {
+      for (int j = 0; j < i; ++j, ++column) {
+        out.col(column).template segment<P>(i * P) = y.row(j).transpose() / std::sqrt(2.0);
+        out.col(column).template segment<P>(j * P) = -y.row(i).transpose() / std::sqrt(2.0);
+      }
+    }
+    Eigen::Matrix<double, P, P> full;  // columns: the rows, then their complement
+    full.template leftCols<D>() = y.transpose();
+    for (int k = D; k < P; ++k) {
+      // Of the unit vectors, the one farthest from the span so far.
+      Eigen::Index farthest = 0;
+      full.leftCols(k).rowwise().squaredNorm().minCoeff(&farthest);
+      Eigen::Matrix<double, P, 1> v = Eigen::Matrix<double, P, 1>::Unit(farthest);
+      for (int twice = 0; twice < 2; ++twice) {
+        v -= full.leftCols(k) * (full.leftCols(k).transpose() * v);
+      }
+      full.col(k) = v.normalized();
+      for (int i = 0; i < D; ++i, ++column) {
+        out.col(column).template segment<P>(i * P) = full.col(k);
+      }
+    }
+    return out;
+  }
+
+  // Gram and Schmidt.
+  static Frame orthonormal(Frame y) {
+    for (int i = 0; i < D; ++i) {
+      for (int j = 0; j < i; ++j) y.row(i) -= y.row(i).dot(y.row(j)) * y.row(j);
+      y.row(i).normalize();
+    }
+    return y;
+  }
+};
+
+}  // namespace masat
