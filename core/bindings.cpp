@@ -1,5 +1,6 @@
 // The Python face of the core, described for readers in src/masat/_core.pyi.
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
@@ -7,6 +8,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <optional>
 
 #include "arrays.hpp"
 #include "graph/information.hpp"
@@ -559,12 +561,18 @@ NB_MODULE(_core, m) {
       .def("edge_chi2", &edge_chi2, "poses"_a)
       .def(
           "linearize",
-          [](NormalEquations& e, const Table<double>& poses) {
+          [](NormalEquations& e, const Table<double>& poses,
+             const std::optional<Vector<double>>& weights) {
             const double* const p = check_poses(e, poses);
+            std::span<const double> w;
+            if (weights) {
+              w = span_of(*weights);
+              require(w.size() == static_cast<std::size_t>(e.edges()), "one weight an edge");
+            }
             nb::gil_scoped_release release;
-            return e.linearize(p);
+            return e.linearize(p, w);
           },
-          "poses"_a)
+          "poses"_a, "weights"_a = nb::none())
       .def("rhs",
            [](const NormalEquations& e) {
              return as_array(std::vector<double>(e.rhs().begin(), e.rhs().end()));

@@ -25,8 +25,9 @@ class NormalEquations {
 
   virtual double chi2(const double* poses) = 0;
   virtual void edge_chi2(const double* poses, double* out) = 0;
-  // Sets H and the gradient's negative half at `poses`; returns chi2 there.
-  virtual double linearize(const double* poses) = 0;
+  // Sets H and the gradient's negative half at `poses`; returns chi2 there. Weights, one an edge if
+  // any, multiply the information.
+  virtual double linearize(const double* poses, std::span<const double> weights) = 0;
   virtual std::span<const double> rhs() const = 0;
   virtual void diagonal(double* out) const = 0;
   virtual void multiply(const double* v, double* out) const = 0;  // H v
@@ -83,7 +84,7 @@ class NormalEquationsOf final : public NormalEquations {
     for (std::size_t k = 0; k < edges_.size(); ++k) out[k] = edge_cost(k);
   }
 
-  double linearize(const double* poses) override {
+  double linearize(const double* poses, std::span<const double> weights) override {
     load(poses);
     matrix_.set_zero();
     std::fill(rhs_.begin(), rhs_.end(), 0.0);
@@ -91,12 +92,14 @@ class NormalEquationsOf final : public NormalEquations {
     for (std::size_t k = 0; k < edges_.size(); ++k) {
       const Edge& edge = edges_[k];
       const std::int32_t a = elimination().place(edge.from), b = elimination().place(edge.to);
-      Square ja, jb;
+      Square ja, jb, weighted;
       const Tangent e = error(z_[k], poses_[edge.from], poses_[edge.to], ja, jb);
-      const Tangent we = information_[k] * e;
+      const Square& w =
+          weights.empty() ? information_[k] : (weighted = weights[k] * information_[k]);
+      const Tangent we = w * e;
       sum += e.dot(we);
       if (a >= 0) {
-        const Square wja = information_[k] * ja;
+        const Square wja = w * ja;
         block(matrix_.node_block(a)).noalias() += ja.transpose() * wja;
         segment(a).noalias() -= ja.transpose() * we;
         if (b >= 0) {
@@ -108,7 +111,7 @@ class NormalEquationsOf final : public NormalEquations {
         }
       }
       if (b >= 0) {
-        block(matrix_.node_block(b)).noalias() += jb.transpose() * (information_[k] * jb);
+        block(matrix_.node_block(b)).noalias() += jb.transpose() * (w * jb);
         segment(b).noalias() -= jb.transpose() * we;
       }
     }

@@ -7,12 +7,11 @@ from typing import Protocol
 
 import numpy as np
 
-from masat._core import NormalEquations
 from masat.arrays import Floats
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
 from masat.optimizers.dogleg import dogleg
-from masat.optimizers.equations import normal_equations, rounding_level, why_singular
+from masat.optimizers.equations import Equations, normal_equations, rounding_level, why_singular
 from masat.optimizers.gauss_newton import gauss_newton
 from masat.optimizers.levenberg_marquardt import levenberg_marquardt
 from masat.optimizers.result import Result
@@ -31,7 +30,7 @@ class Optimizer(Protocol):
     """Improves poses until the termination says stop."""
 
     def __call__(
-        self, equations: NormalEquations, poses: Floats, termination: Termination, report: Report
+        self, equations: Equations, poses: Floats, termination: Termination, report: Report
     ) -> Outcome:
         """Return the best poses met, calling `report` after each iteration."""
 

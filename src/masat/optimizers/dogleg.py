@@ -6,8 +6,8 @@ from time import perf_counter
 
 import numpy as np
 
-from masat._core import NormalEquations
 from masat.arrays import Floats
+from masat.optimizers.equations import Equations
 from masat.optimizers.termination import (
     Iteration,
     Outcome,
@@ -21,7 +21,7 @@ _LEAST_RADIUS = 1e-14
 
 
 def dogleg(
-    equations: NormalEquations, poses: Floats, termination: Termination, report: Report
+    equations: Equations, poses: Floats, termination: Termination, report: Report
 ) -> Outcome:
     """Take the Gauss-Newton step as far as a trust region allows, bent to the steepest descent.
 
@@ -75,9 +75,7 @@ def dogleg(
     return Outcome(poses, chi2, StopReason.MAX_ITERATIONS)
 
 
-def _corners(
-    equations: NormalEquations, rhs: Floats, scale: Floats
-) -> tuple[Floats, Floats, Floats]:
+def _corners(equations: Equations, rhs: Floats, scale: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the Gauss-Newton step, the best step of steepest descent, and H times the latter."""
     down = rhs / scale**2
     curved = equations.multiply(down)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from masat import _core
@@ -11,6 +13,37 @@ from masat.errors import OptimizationError
 from masat.graph import PoseGraph
 
 _EPSILON = float(np.finfo(np.float64).eps)
+
+
+class Equations(Protocol):
+    """What an optimiser sees of a cost: its value, and a quadratic model of it.
+
+    That of `_core.NormalEquations` is chi2.
+    """
+
+    def chi2(self, poses: Floats, /) -> float:
+        """Return the cost."""
+
+    def linearize(self, poses: Floats, /) -> float:
+        """Set H and `rhs`, the gradient's negative half; return the cost."""
+
+    def rhs(self) -> Floats:
+        """Return the gradient's negative half."""
+
+    def diagonal(self) -> Floats:
+        """Return the diagonal of H."""
+
+    def multiply(self, v: Floats, /) -> Floats:
+        """Return H v."""
+
+    def factorize(self, damping: Floats, /) -> int:
+        """Factorise H plus a diagonal; return -1, or the node where it is not definite."""
+
+    def solve(self) -> Floats:
+        """Return the step: what was factorised times it is `rhs`."""
+
+    def retract(self, poses: Floats, step: Floats, /) -> Floats:
+        """Return the poses after a step."""
 
 
 def normal_equations(graph: PoseGraph, threads: int = 1) -> _core.NormalEquations:

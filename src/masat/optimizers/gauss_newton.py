@@ -6,8 +6,8 @@ from time import perf_counter
 
 import numpy as np
 
-from masat._core import NormalEquations
 from masat.arrays import Floats
+from masat.optimizers.equations import Equations
 from masat.optimizers.termination import (
     Iteration,
     Outcome,
@@ -19,7 +19,7 @@ from masat.optimizers.termination import (
 
 
 def gauss_newton(
-    equations: NormalEquations, poses: Floats, termination: Termination, report: Report
+    equations: Equations, poses: Floats, termination: Termination, report: Report
 ) -> Outcome:
     """Solve H step = J' W (-e) and take the full step, until chi2 stands still.
 

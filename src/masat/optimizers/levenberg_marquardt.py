@@ -6,9 +6,9 @@ from time import perf_counter
 
 import numpy as np
 
-from masat._core import NormalEquations
 from masat.arrays import Floats
 from masat.lie import DOF
+from masat.optimizers.equations import Equations
 from masat.optimizers.termination import (
     Iteration,
     Outcome,
@@ -28,7 +28,7 @@ _LEAST_SCALE = 1e-12
 
 
 def levenberg_marquardt(
-    equations: NormalEquations, poses: Floats, termination: Termination, report: Report
+    equations: Equations, poses: Floats, termination: Termination, report: Report
 ) -> Outcome:
     """Solve (H + damping D) step = J' W (-e), with as much damping as chi2 needs to fall.
 
