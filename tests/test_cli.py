@@ -7,6 +7,7 @@ import pytest
 
 import masat
 from masat.cli import main
+from masat.initializers import INITIALIZERS
 from masat.worlds import manhattan, perturb
 
 
@@ -145,16 +146,10 @@ def test_compare_lists_each_start(run, world, tmp_path):
     code, text, _ = run("compare", world, "--optimizer", "gn", "--plot", tmp_path / "p.png")
     assert code == 0
     lines = text.splitlines()
-    for start in ("odometry", "spanning_tree", "masat", "toro", "given"):
+    for start in INITIALIZERS:
         assert any(start in line and "best" in line for line in lines)
     said = json.loads(run("compare", world, "--json")[1])
-    assert [s["init"] for s in said["starts"]] == [
-        "odometry",
-        "spanning_tree",
-        "masat",
-        "toro",
-        "given",
-    ]
+    assert [s["init"] for s in said["starts"]] == list(INITIALIZERS)
 
 
 def test_convert_loses_nothing(run, tmp_path):

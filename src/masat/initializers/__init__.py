@@ -7,6 +7,7 @@ from typing import Protocol
 
 from masat.errors import InitializationError, MasatWarning
 from masat.graph import PoseGraph
+from masat.initializers.cauchy import cauchy
 from masat.initializers.chordal import chordal
 from masat.initializers.given import given
 from masat.initializers.masat import masat
@@ -28,6 +29,7 @@ INITIALIZERS: dict[str, Initializer] = {
     "masat": masat,
     "chordal": chordal,
     "toro": toro,
+    "cauchy": cauchy,
     "given": given,
 }
 
