@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import masat
+from masat import PoseGraph
 from masat.cli import main
 from masat.initializers import INITIALIZERS
-from masat.worlds import manhattan, perturb
+from masat.worlds import manhattan, perturb, sphere
 
 
 @pytest.fixture
@@ -150,6 +151,20 @@ def test_compare_lists_each_start(run, world, tmp_path):
         assert any(start in line and "best" in line for line in lines)
     said = json.loads(run("compare", world, "--json")[1])
     assert [s["init"] for s in said["starts"]] == list(INITIALIZERS)
+    assert said["refused"] == {}
+
+
+def test_compare_tells_which_starts_refuse_and_why(run, tmp_path):
+    path = tmp_path / "bare.g2o"
+    graph = sphere(50)
+    masat.write(PoseGraph.from_arrays(graph.edges, graph.measurements), path)
+    code, text, _ = run("compare", path)
+    assert code == 0
+    assert "lago refuses: lago is for planar graphs only" in text
+    assert "given refuses: the graph has no poses" in text
+    said = json.loads(run("compare", path, "--json")[1])
+    assert list(said["refused"]) == ["lago", "given"]
+    assert {s["init"] for s in said["starts"]} == set(INITIALIZERS) - {"lago", "given"}
 
 
 def test_convert_loses_nothing(run, tmp_path):

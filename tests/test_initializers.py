@@ -13,6 +13,7 @@ from masat.initializers import INITIALIZERS
 from masat.worlds import manhattan
 
 WALKS = [name for name in INITIALIZERS if name != "given"]
+PLANAR = ["lago"]
 
 
 def same_poses(a, b, tolerance=1e-9):
@@ -121,8 +122,10 @@ def test_quaternions_of_either_sign_mean_the_same_rotation(q):
     assert same_poses(masat.initialize(graph, "masat").poses[1], turn)
 
 
-@pytest.mark.parametrize("method", WALKS)
-@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize(
+    ("method", "dimension"),
+    [(name, d) for name in WALKS for d in (2, 3) if d == 2 or name not in PLANAR],
+)
 @pytest.mark.parametrize("root", [0, 7])
 def test_without_noise_every_start_returns_the_truth(method, dimension, root):
     graph = random_graph(dimension, 30, 40, seed=5, noise=0.0)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import click
 
 from masat.cli import options, show
+from masat.errors import InitializationError
 from masat.graph import PoseGraph
 from masat.initializers import INITIALIZERS, initialize
 from masat.optimizers import Result, optimize
@@ -26,22 +27,26 @@ class Run(NamedTuple):
     result: Result
 
 
-def run(graph: PoseGraph, method: str, *, quiet: bool, **limits: Any) -> list[Run]:
-    """Solve a graph from every start that it allows."""
-    runs = []
+def run(
+    graph: PoseGraph, method: str, *, quiet: bool, **limits: Any
+) -> tuple[list[Run], dict[str, str]]:
+    """Solve a graph from every start; of those that refuse it, tell why."""
+    runs, refusals = [], {}
     for init in INITIALIZERS:
-        if init == "given" and graph.poses is None:
-            continue
         begin = perf_counter()
-        guess = initialize(graph, init)
+        try:
+            guess = initialize(graph, init)
+        except InitializationError as refusal:
+            refusals[init] = str(refusal)
+            continue
         seconds = perf_counter() - begin
         with show.Watch(init, limits.get("max_iterations", 100), quiet=quiet) as watch:
             runs.append(Run(init, seconds, guess, optimize(guess, method, report=watch, **limits)))
-    return runs
+    return runs, refusals
 
 
-def tell(runs: list[Run]) -> None:
-    """Print the table of the runs."""
+def tell(runs: list[Run], refusals: dict[str, str]) -> None:
+    """Print the table of the runs, and who refused."""
     best = min(r.result.chi2 for r in runs)
     show.table(
         (
@@ -68,6 +73,8 @@ def tell(runs: list[Run]) -> None:
             for r in runs
         ],
     )
+    for init, reason in refusals.items():
+        click.echo(f"{init} refuses: {reason}")
 
 
 def _end(result: Result, best: float) -> str:
@@ -96,7 +103,7 @@ def compare(
     """Solve the pose graph in FILE from every start: time, chi2 before and after, iterations."""
     options.check_picture(picture)
     graph = options.load(file, file_format, indefinite, quiet)
-    runs = run(
+    runs, refusals = run(
         graph,
         options.OPTIMIZER_NAMES[optimizer],
         quiet=quiet,
@@ -112,6 +119,7 @@ def compare(
         starts = [
             {"init": r.init, "init_seconds": r.seconds, **show.summary(r.result)} for r in runs
         ]
-        show.as_json({"file": str(file), "notes": list(graph.notes), "starts": starts})
+        notes = list(graph.notes)
+        show.as_json({"file": str(file), "notes": notes, "starts": starts, "refused": refusals})
     elif not quiet:
-        tell(runs)
+        tell(runs, refusals)

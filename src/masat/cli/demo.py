@@ -30,14 +30,16 @@ from masat.worlds import manhattan, perturb
 )
 @options.output
 def demo(nodes: int, noise: float, seed: int, picture: Path, as_json: bool, quiet: bool) -> None:
-    """Simulate a robot's walk through Manhattan, solve it from three starts, draw the outcome.
+    """Simulate a robot's walk through Manhattan, solve it from every start, draw the outcome.
 
     'given' is the simulated truth: the start that nobody has in real life.
     """
     options.check_picture(picture)
     truth = manhattan(nodes, int(1.55 * nodes), extent=int(nodes**0.5), seed=seed)
     graph = perturb(truth, (noise, noise, noise), seed=seed)
-    runs = run(graph, "gauss_newton", quiet=quiet, max_iterations=50, relative_tolerance=1e-6)
+    runs, refusals = run(
+        graph, "gauss_newton", quiet=quiet, max_iterations=50, relative_tolerance=1e-6
+    )
     from masat.plotting import plot
 
     shown = [r for r in runs if r.init != "given"]
@@ -56,5 +58,5 @@ def demo(nodes: int, noise: float, seed: int, picture: Path, as_json: bool, quie
             f"A walk of {nodes} poses with {len(graph.edges)} measurements, noise {noise} m and "
             f"rad, Gauss-Newton with at most 50 iterations:"
         )
-        tell(runs)
+        tell(runs, refusals)
         click.echo(f"Picture: {picture}    Next: masat solve FILE -o OUT --plot OUT.png")

@@ -10,6 +10,7 @@ from masat.graph import PoseGraph
 from masat.initializers.cauchy import cauchy
 from masat.initializers.chordal import chordal
 from masat.initializers.given import given
+from masat.initializers.lago import lago
 from masat.initializers.masat import masat
 from masat.initializers.odometry import odometry
 from masat.initializers.spanning_tree import spanning_tree
@@ -27,6 +28,7 @@ INITIALIZERS: dict[str, Initializer] = {
     "odometry": odometry,
     "spanning_tree": spanning_tree,
     "masat": masat,
+    "lago": lago,
     "chordal": chordal,
     "toro": toro,
     "cauchy": cauchy,

@@ -87,24 +87,43 @@ def pose_form(graph: PoseGraph, weights: Weights) -> Form:
     return Form(first, joint, second)
 
 
+class Minimiser:
+    """The minima of a form that pulls shift: factorised once."""
+
+    def __init__(self, graph: PoseGraph, form: Form, values: Floats) -> None:
+        """Take a form; of `values`, (n, d, k), those of the anchors stand."""
+        self._values = values
+        self._free = graph.elimination.free_nodes()
+        self._matrix = _core.GraphMatrix(graph.elimination, values.shape[1])
+        self._forcing = self._matrix.assemble(graph.topology, *form, values)
+        broken = self._matrix.factorize(np.zeros(self._forcing[..., 0].size))
+        if broken >= 0:
+            raise InitializationError(
+                f"the edges around node {graph.ids[self._free[broken]]} do not determine it"
+            )
+
+    def __call__(self, pull: Floats) -> Floats:
+        """Return the unknowns X that minimise the form less the traces of 2 X_i' pull_i.
+
+        Parameters
+        ----------
+        pull : ndarray, (n, d, k)
+
+        Returns
+        -------
+        ndarray, (n, d, k)
+        """
+        solution = self._values.copy()
+        solution[self._free] = self._matrix.solve(self._forcing + pull[self._free])
+        return solution
+
+
 def minimise(graph: PoseGraph, form: Form, values: Floats) -> Floats:
     """Return the unknowns that minimise a form, (n, d, k).
 
     Of `values`, (n, d, k), those of the anchors stand.
     """
-    free = graph.elimination.free_nodes()
-    solution = values.copy()
-    if len(free) == 0:
-        return solution
-    matrix = _core.GraphMatrix(graph.elimination, values.shape[1])
-    forcing = matrix.assemble(graph.topology, *form, values)
-    broken = matrix.factorize(np.zeros(forcing.shape[0] * forcing.shape[1]))
-    if broken >= 0:
-        raise InitializationError(
-            f"the edges around node {graph.ids[free[broken]]} do not determine it"
-        )
-    solution[free] = matrix.solve(forcing)
-    return solution
+    return Minimiser(graph, form, values)(np.zeros_like(values))
 
 
 def rotations(poses: Floats) -> Floats:

@@ -63,5 +63,5 @@ def rooted(graph: PoseGraph, poses: Floats, root: int | None, notes: list[str]) 
         own = graph.components == graph.components[place]
         poses = poses.copy()
         poses[own] = lie.between(poses[place], poses[own])
-        poses[place] = lie.identity(graph.dimension)  # to the last bit
+        poses[place] = lie.identity(graph.dimension)
     return graph.with_poses(poses, notes=notes)
