@@ -62,6 +62,7 @@ class Lifted {
     // What the rounding of M x alone may make of the cost.
     const double rounding = 1e-15 * std::abs(constant_);
     double strength = limits.damping;
+    double indefinite = 0;  // the greatest strength of late that was not enough
     bool moved_on = true;
     for (; out.steps < limits.steps; ++out.steps) {
       if (moved_on) linearize(x, basis, gradient, hessian);
@@ -70,15 +71,18 @@ class Lifted {
         std::fill_n(&damping[std::int64_t{k} * kDof], Frames::kDof, strength);
       }
       if (hessian.factorize(damping) >= 0) {
+        indefinite = strength;
         strength *= kGrowth;
         continue;
       }
       step = gradient;
       hessian.solve(step);
-      double predicted = 0;
+      double predicted = 0, damped = 0;
       for (std::size_t i = 0; i < step.size(); ++i) {
-        predicted += step[i] * (gradient[i] + damping[i] * step[i]);
+        predicted += step[i] * gradient[i];
+        damped += damping[i] * step[i] * step[i];
       }
+      predicted += damped;
       retract(x, basis, step, moved);
       const double cost = evaluate(moved, moved_residual);
       const double gain = predicted > rounding ? (out.cost - cost) / predicted : 1.0;
@@ -87,12 +91,15 @@ class Lifted {
         residual_.swap(moved_residual);
         out.cost = cost;
         moved_on = true;
-        if (predicted <= limits.decrease * cost + rounding) {
+        // A step that damping made short proves nothing, unless it was to gain nothing at all.
+        const double enough = limits.decrease * cost + rounding;
+        if (predicted <= (damped < kUndamped * predicted ? enough : kNothing * enough)) {
           ++out.steps;
           out.converged = true;
           break;
         }
-        if (gain > kGood) strength /= kGrowth;
+        if (gain > kGood) strength = std::max(strength / kDecay, std::sqrt(strength * indefinite));
+        indefinite *= kForgotten;
       } else {
         strength *= kGrowth;
       }
@@ -124,7 +131,7 @@ class Lifted {
   }
 
  private:
-  static constexpr double kGrowth = 10, kAccepted = 0.05, kGood = 0.5;
+  static constexpr double kGrowth = 3, kDecay = 10, kForgotten = 0.5, kAccepted = 0.05, kGood = 0.5, kUndamped = 0.3, kNothing = 1e-3;
   using Mixed = Eigen::Matrix<double, kDof, kDof>;
   using Turns = Eigen::Matrix<double, P, Frames::kDof>;
 

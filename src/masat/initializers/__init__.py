@@ -8,9 +8,11 @@ from typing import Protocol
 from masat.errors import InitializationError, MasatWarning
 from masat.graph import PoseGraph
 from masat.initializers.cauchy import cauchy
+from masat.initializers.auto import auto
 from masat.initializers.chordal import chordal
 from masat.initializers.given import given
 from masat.initializers.lago import lago
+from masat.initializers.lifted import lifted
 from masat.initializers.masat import masat
 from masat.initializers.odometry import odometry
 from masat.initializers.spanning_tree import spanning_tree
@@ -25,6 +27,7 @@ class Initializer(Protocol):
 
 
 INITIALIZERS: dict[str, Initializer] = {
+    "auto": auto,
     "odometry": odometry,
     "spanning_tree": spanning_tree,
     "masat": masat,
@@ -32,6 +35,7 @@ INITIALIZERS: dict[str, Initializer] = {
     "chordal": chordal,
     "toro": toro,
     "cauchy": cauchy,
+    "lifted": lifted,
     "given": given,
 }
 

@@ -1,0 +1,221 @@
+"""The chordal problem of a pose graph, and its solution by way of lifted ranks.
+
+The chordal cost of poses (R, t) is the sum over the edges of
+
+    kappa |R_j - R_i R|^2 + tau |t_j - t_i - R_i t|^2,
+
+with isotropic surrogates kappa and tau of the information matrices. In 3D it equals chi2 where
+these are isotropic; in 2D it counts 2 (1 - cos e) instead of e^2 for an error e of a heading.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from masat import _core
+from masat.arrays import Floats
+from masat.graph import PoseGraph
+from masat.initializers import quadratic
+
+# A gap below this share of the cost counts as none; one below the other leaves no doubt that the
+# minimum is the right one to start from.
+TIGHT, DOUBT = 1e-3, 0.03
+# Of the certificate, as shares of the cost an unknown: four times as much is their part of the gap.
+_SHIFTS = (1e-8, TIGHT / 4, DOUBT / 4)
+_MOST_RANK = {2: 4, 3: 4}
+_NOISE = 0.3
+# Bytes of a factor that a higher rank may take.
+_MOST_MEMORY = 4e9
+
+
+@dataclass(frozen=True)
+class Point:
+    """Lifted poses and their chordal cost.
+
+    Attributes
+    ----------
+    unknowns : ndarray, (n, d + 1, p)
+        X_i = [Y_i t_i]': an orthonormal frame of d rows of p numbers, and a translation.
+    cost : float
+    steps : int
+        Newton steps that led here.
+    """
+
+    unknowns: Floats
+    cost: float
+    steps: int = 0
+
+    @property
+    def rank(self) -> int:
+        """The p."""
+        return self.unknowns.shape[2]
+
+
+class Relaxation:
+    """The chordal problem of a graph, for frames of any rank; the anchors hold still.
+
+    Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Boumal, A Riemannian
+    low-rank method for optimization over semidefinite matrices, 2015.
+    """
+
+    def __init__(self, graph: PoseGraph, weights: quadratic.Weights | None = None) -> None:
+        self.graph = graph
+        self.weights = weights or quadratic.isotropic_weights(graph)
+        self._form = quadratic.pose_form(graph, self.weights)
+        self._free = graph.elimination.free_nodes()
+        self._held = graph.index(graph.anchors)
+        self._matrix = _core.GraphMatrix(graph.elimination, graph.dimension + 1)
+        self._scale = float(np.median(self.weights.rotation)) if len(graph.edges) else 1.0
+
+    def unknowns(self, poses: Floats, rank: int) -> Floats:
+        """Return the unknowns of poses, (n, d + 1, rank)."""
+        d = self.graph.dimension
+        x = np.zeros((len(poses), d + 1, rank))
+        x[:, :d, :d] = quadratic.rotations(poses)
+        x[:, d, :d] = poses[:, :d]
+        return x
+
+    def minimise(self, x: Floats, *, decrease: float, damping: float, steps: int = 100) -> Point:
+        """Go down from x to where a Newton step promises less than a share of the cost."""
+        forcing, constant = self._system(x)
+        if len(self._free) == 0:
+            return Point(x, constant)
+        solved, cost, taken, _ = _core.minimise_lifted(
+            self._matrix,
+            forcing,
+            constant,
+            np.ascontiguousarray(x[self._free]),
+            decrease,
+            damping * self._scale,
+            steps,
+        )
+        out = x.copy()
+        out[self._free] = solved
+        return Point(out, cost, taken)
+
+    def polish(self, poses: Floats) -> Point:
+        """Go down from poses, at their own rank."""
+        x = self.unknowns(poses, self.graph.dimension)
+        return self.minimise(x, decrease=1e-7, damping=1e-2)
+
+    def can_lift(self, rank: int) -> bool:
+        """Whether there is code and memory for a rank."""
+        d = self.graph.dimension
+        size = d * (d - 1) // 2 + d * (rank - d) + rank
+        return rank <= _MOST_RANK[d] and 8 * self.graph.elimination.fill(size) <= _MOST_MEMORY
+
+    def lift(self, x: Floats, rank: int, rng: np.random.Generator) -> Floats:
+        """Return unknowns of a higher rank, the new columns filled with smooth noise."""
+        d, old = self.graph.dimension, x.shape[2]
+        out = np.zeros((*x.shape[:2], rank))
+        out[:, :, :old] = x
+        self._system(out)
+        damping = np.tile([5e-4 * self._scale] * d + [0.0], len(self._free))
+        self._matrix.factorize(damping)
+        noise = rng.normal(size=(len(self._free), d + 1, rank - old))
+        smooth = self._matrix.solve(noise)
+        out[self._free, :, old:] = smooth * (_NOISE / np.sqrt(np.square(smooth[:, :d]).mean()))
+        return out
+
+    def gap(self, point: Point) -> float:
+        """Return how far any poses may lie below the cost of a point; inf if no bound is known."""
+        if len(self._free) == 0:
+            return 0.0
+        forcing, constant = self._system(point.unknowns)
+        x = np.ascontiguousarray(point.unknowns[self._free])
+        share = max(point.cost, 1e-12 * self._scale) / x[:, :, 0].size
+        for shift in _SHIFTS:
+            gap = _core.lifted_gap(self._matrix, forcing, constant, x, shift * share)
+            if np.isfinite(gap):
+                return gap
+        return float("inf")
+
+    def poses(self, x: Floats) -> Floats:
+        """Return the poses nearest to unknowns of any rank, (n, 3) or (n, 7)."""
+        d = self.graph.dimension
+        flat = x
+        if x.shape[2] > d:
+            frames = x[:, :d].reshape(-1, x.shape[2])
+            _, vectors = np.linalg.eigh(frames.T @ frames)
+            flat = x @ vectors[:, : -d - 1 : -1]
+            if np.count_nonzero(np.linalg.det(flat[:, :d]) > 0) < len(flat) / 2:
+                flat[:, :, -1] *= -1
+            # The anchors' frames lie in the first d columns: turn the rest back to them.
+            left, _, right = np.linalg.svd(
+                np.einsum("kij,kil->jl", flat[self._held, :d], x[self._held, :d, :d])
+            )
+            flat = flat @ (left @ right)
+        start = np.zeros((len(x), 3 if d == 2 else 7))
+        start[:, :d] = flat[:, d]
+        held = np.ascontiguousarray(x[self._held, :d, :d].transpose(0, 2, 1))
+        start[self._held] = _core.nearest_rotations(held)
+        start[self._held, :d] = x[self._held, d, :d]
+        return quadratic.nearest_rotations(self.graph, start, np.ascontiguousarray(flat[:, :d]))
+
+    def _system(self, x: Floats) -> tuple[Floats, float]:
+        """Assemble the matrix; return the forcing of the held nodes and their constant cost."""
+        form, i, j = self._form, *self.graph.edge_indices.T
+        forcing = self._matrix.assemble(self.graph.topology, *form, x)
+        held = np.zeros(len(x), np.bool_)
+        held[self._held] = True
+        constant = 0.0
+        for ends, blocks in ((i, form.first), (j, form.second)):
+            k = np.flatnonzero(held[ends])
+            constant += np.einsum("kip,kij,kjp->", x[ends[k]], blocks[k], x[ends[k]])
+        k = np.flatnonzero(held[i] & held[j])
+        constant += 2 * np.einsum("kip,kij,kjp->", x[i[k]], form.joint[k], x[j[k]])
+        return forcing, float(constant)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Poses of low chordal cost, and what can be said of all others.
+
+    Attributes
+    ----------
+    poses : ndarray, (n, 3) or (n, 7)
+    cost : float
+        Their chordal cost.
+    bound : float
+        No poses have a lower one; -inf if no bound was found.
+    rank : int
+        The highest rank that was needed.
+    """
+
+    poses: Floats
+    cost: float
+    bound: float
+    rank: int
+
+    @property
+    def certified(self) -> bool:
+        """Whether the cost is proven to be the least, to `TIGHT` of itself."""
+        return self.cost - self.bound <= TIGHT * self.cost
+
+
+def solve(graph: PoseGraph, poses: Floats, *, doubt: float = DOUBT, seed: int = 0) -> Solution:
+    """Minimise the chordal cost from poses on, in higher ranks where the lower leave doubt.
+
+    At each rank a certificate bounds how far the minimum may lie above the global one. While that
+    is more than `doubt` of the cost, the poses are lifted: columns of noise are added to their
+    frames, which opens ways out of local minima. The minimum of a higher rank, rounded to
+    rotations, leads back to poses. Source: as of `Relaxation`.
+    """
+    relaxed, d = Relaxation(graph), graph.dimension
+    rng = np.random.default_rng(seed)
+    best = top = relaxed.polish(poses)
+    bound = best.cost - relaxed.gap(best)
+    while best.cost - bound > doubt * best.cost and relaxed.can_lift(top.rank + 1):
+        lifted = relaxed.lift(top.unknowns, top.rank + 1, rng)
+        top = relaxed.minimise(lifted, decrease=1e-6, damping=30.0)
+        bound = max(bound, top.cost - relaxed.gap(top))
+        rounded = relaxed.polish(relaxed.poses(top.unknowns))
+        if rounded.cost < best.cost:
+            best = rounded
+            bound = max(bound, best.cost - relaxed.gap(best))
+        if top.cost - bound <= TIGHT * top.cost:
+            break
+    # Rounding errors may lift the bound above the cost.
+    return Solution(relaxed.poses(best.unknowns), best.cost, min(bound, best.cost), top.rank)
