@@ -16,6 +16,7 @@ from masat.initializers.lifted import lifted
 from masat.initializers.masat import masat
 from masat.initializers.odometry import odometry
 from masat.initializers.spanning_tree import spanning_tree
+from masat.initializers.spectral import spectral
 from masat.initializers.toro import toro
 
 
@@ -33,6 +34,7 @@ INITIALIZERS: dict[str, Initializer] = {
     "masat": masat,
     "lago": lago,
     "chordal": chordal,
+    "spectral": spectral,
     "toro": toro,
     "cauchy": cauchy,
     "lifted": lifted,
