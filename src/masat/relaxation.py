@@ -50,7 +50,7 @@ class Point:
     @property
     def rank(self) -> int:
         """The p."""
-        return self.unknowns.shape[2]
+        return int(self.unknowns.shape[2])
 
 
 class Relaxation:
@@ -94,6 +94,12 @@ class Relaxation:
         out = x.copy()
         out[self._free] = solved
         return Point(out, cost, taken)
+
+    def point(self, poses: Floats) -> Point:
+        """Return poses as they are, at their own rank, and their cost."""
+        return self.minimise(
+            self.unknowns(poses, self.graph.dimension), decrease=0.0, damping=0.0, steps=0
+        )
 
     def polish(self, poses: Floats) -> Point:
         """Go down from poses, at their own rank."""
@@ -203,7 +209,7 @@ def solve(graph: PoseGraph, poses: Floats, *, doubt: float = DOUBT, seed: int = 
     frames, which opens ways out of local minima. The minimum of a higher rank, rounded to
     rotations, leads back to poses. Source: as of `Relaxation`.
     """
-    relaxed, d = Relaxation(graph), graph.dimension
+    relaxed = Relaxation(graph)
     rng = np.random.default_rng(seed)
     best = top = relaxed.polish(poses)
     bound = best.cost - relaxed.gap(best)

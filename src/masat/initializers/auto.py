@@ -17,19 +17,19 @@ def auto(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     from there, and the poses of the lower chi2 stand. The rule is measured in docs/starts.md.
     """
     guess = chordal(graph)
-    first = _optimise(guess)
+    first = _optimise(guess, 1e-4)
     poses = first.graph.poses if first.converged else guess.poses
     assert poses is not None
     relaxed = relaxation.Relaxation(guess)
     if first.converged:
-        point = relaxed.polish(poses)
+        point = relaxed.point(poses)
         if relaxed.gap(point) <= relaxation.DOUBT * point.cost:
             return rooted(guess, poses, root, [])
-    second = _optimise(guess.with_poses(relaxation.solve(guess, poses).poses))
+    second = _optimise(guess.with_poses(relaxation.solve(guess, poses).poses), 1e-6)
     best = min((first, second), key=lambda result: (not result.converged, result.chi2))
     assert best.graph.poses is not None
     return rooted(guess, best.graph.poses, root, [])
 
 
-def _optimise(graph: PoseGraph) -> Result:
-    return optimize(graph, "gauss_newton", max_iterations=50, relative_tolerance=1e-6)
+def _optimise(graph: PoseGraph, tolerance: float) -> Result:
+    return optimize(graph, "gauss_newton", max_iterations=50, relative_tolerance=tolerance)
