@@ -7,8 +7,8 @@ from typing import Protocol
 
 from masat.errors import InitializationError, MasatWarning
 from masat.graph import PoseGraph
-from masat.initializers.cauchy import cauchy
 from masat.initializers.auto import auto
+from masat.initializers.cauchy import cauchy
 from masat.initializers.chordal import chordal
 from masat.initializers.given import given
 from masat.initializers.lago import lago

@@ -12,18 +12,17 @@ from masat.optimizers import Result, optimize
 def auto(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     """Begin cheaply, check, and lift only where that leaves doubt; the poses come optimised.
 
-    The chordal start and Gauss-Newton; if that converges and the certificate bounds the gap of the
-    chordal cost there by 3 % (`masat.relaxation.DOUBT`), it is done. Else the lifted start goes on
-    from there, and the poses of the lower chi2 stand. The rule is measured in docs/starts.md.
+    The chordal start and Gauss-Newton; if that converges to what looks like a global minimum
+    (`masat.relaxation.Relaxation.plausible`), it is done. Else the lifted start goes on from there,
+    and the poses of the lower chi2 stand. The rule is measured in docs/starts.md.
     """
     guess = chordal(graph)
     first = _optimise(guess, 1e-4)
     poses = first.graph.poses if first.converged else guess.poses
     assert poses is not None
-    relaxed = relaxation.Relaxation(guess)
     if first.converged:
-        point = relaxed.point(poses)
-        if relaxed.gap(point) <= relaxation.DOUBT * point.cost:
+        relaxed = relaxation.Relaxation(guess)
+        if relaxed.plausible(relaxed.point(poses)):
             return rooted(guess, poses, root, [])
     second = _optimise(guess.with_poses(relaxation.solve(guess, poses).poses), 1e-6)
     best = min((first, second), key=lambda result: (not result.converged, result.chi2))
