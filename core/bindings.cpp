@@ -542,8 +542,7 @@ NB_MODULE(_core, m) {
 
   m.def("minimise_lifted", &minimise_lifted, "matrix"_a, "forcing"_a, "constant"_a, "start"_a,
         "decrease"_a, "damping"_a, "steps"_a);
-  m.def("lifted_gap", &lifted_gap, "matrix"_a, "forcing"_a, "constant"_a, "x"_a,
-        "shift"_a);
+  m.def("lifted_gap", &lifted_gap, "matrix"_a, "forcing"_a, "constant"_a, "x"_a, "shift"_a);
   m.def("settle_translations", &settled, "topology"_a, "elimination"_a, "measurements"_a,
         "information"_a, "poses"_a);
 

@@ -58,11 +58,12 @@ class Lifted {
       own = Frames::orthonormal(own);
     }
     LiftedOutcome out;
-    out.cost = evaluate(x, residual_);
+    GraphMatrix translations = laplacian();
+    out.cost = settle(translations, x, residual_);
     // What the rounding of M x alone may make of the cost.
     const double rounding = 1e-15 * std::abs(constant_);
     double strength = limits.damping;
-    double indefinite = 0;  // the greatest strength of late that was not enough
+    double weak = 0;  // the greatest strength of late that was not enough
     bool moved_on = true;
     for (; out.steps < limits.steps; ++out.steps) {
       if (moved_on) linearize(x, basis, gradient, hessian);
@@ -71,7 +72,7 @@ class Lifted {
         std::fill_n(&damping[std::int64_t{k} * kDof], Frames::kDof, strength);
       }
       if (hessian.factorize(damping) >= 0) {
-        indefinite = strength;
+        weak = strength;
         strength *= kGrowth;
         continue;
       }
@@ -84,7 +85,7 @@ class Lifted {
       }
       predicted += damped;
       retract(x, basis, step, moved);
-      const double cost = evaluate(moved, moved_residual);
+      const double cost = settle(translations, moved, moved_residual);
       const double gain = predicted > rounding ? (out.cost - cost) / predicted : 1.0;
       if (gain > kAccepted) {
         x.swap(moved);
@@ -98,9 +99,10 @@ class Lifted {
           out.converged = true;
           break;
         }
-        if (gain > kGood) strength = std::max(strength / kDecay, std::sqrt(strength * indefinite));
-        indefinite *= kForgotten;
+        if (gain > kGood) strength = std::max(strength / kDecay, std::sqrt(strength * weak));
+        weak *= kForgotten;
       } else {
+        weak = strength;
         strength *= kGrowth;
       }
     }
@@ -131,7 +133,8 @@ class Lifted {
   }
 
  private:
-  static constexpr double kGrowth = 3, kDecay = 10, kForgotten = 0.5, kAccepted = 0.05, kGood = 0.5, kUndamped = 0.3, kNothing = 1e-3;
+  static constexpr double kGrowth = 3, kDecay = 10, kForgotten = 0.5, kAccepted = 0.05, kGood = 0.5,
+                          kUndamped = 0.3, kNothing = 1e-3;
   using Mixed = Eigen::Matrix<double, kDof, kDof>;
   using Turns = Eigen::Matrix<double, P, Frames::kDof>;
 
@@ -148,6 +151,30 @@ class Lifted {
       residual[i] -= forcing_[i];
     }
     return cost;
+  }
+
+  // The part of M of the translations, factorised: they have the same one in each of their numbers.
+  GraphMatrix laplacian() const {
+    GraphMatrix out(matrix_.elimination(), 1);
+    const auto entries = static_cast<std::int64_t>(matrix_.pattern().row.size());
+    for (std::int64_t e = 0; e < entries; ++e) *out.block(e) = matrix_.block(e)[kRows * kRows - 1];
+    out.factorize(std::vector<double>(nodes_));
+    return out;
+  }
+
+  // Moves the translations to their best for the frames; sets the residual, and returns the cost.
+  double settle(const GraphMatrix& translations, std::vector<double>& x,
+                std::vector<double>& residual) const {
+    evaluate(x, residual);
+    std::vector<double> pull(std::int64_t{nodes_} * P);
+    for (std::int32_t k = 0; k < nodes_; ++k) {
+      std::copy_n(&residual[std::int64_t{k} * kStep + D * P], P, &pull[std::int64_t{k} * P]);
+    }
+    translations.solve(pull, P);
+    for (std::int32_t k = 0; k < nodes_; ++k) {
+      for (int i = 0; i < P; ++i) x[std::int64_t{k} * kStep + D * P + i] -= pull[k * P + i];
+    }
+    return evaluate(x, residual);
   }
 
   void find_multipliers(const std::vector<double>& x) {

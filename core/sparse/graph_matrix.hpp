@@ -23,6 +23,7 @@ class GraphMatrix {
         d_(other.d_),
         threads_(other.threads_),
         values_(other.values_) {}
+  GraphMatrix(GraphMatrix&&) = default;
 
   int block_size() const { return d_; }
   std::int64_t rows() const { return std::int64_t{d_} * pattern().columns(); }
@@ -37,8 +38,8 @@ class GraphMatrix {
                 const double* second, const double* values, int columns, double* forcing);
 
   void set_zero() { std::fill(values_.begin(), values_.end(), 0.0); }
-  // Blocks, column-major: that of an entry of the pattern, that of a free node by its place, and that of an edge's pair of free
-  // nodes, whose rows are those of the node with the greater place.
+  // Blocks, column-major: that of an entry of the pattern, that of a free node by its place, and
+  // that of an edge's pair of free nodes, whose rows are those of the node with the greater place.
   double* block(std::int64_t entry) { return values_.data() + entry * d_ * d_; }
   const double* block(std::int64_t entry) const { return values_.data() + entry * d_ * d_; }
   double* node_block(std::int32_t place) { return block(pattern().start[place]); }
