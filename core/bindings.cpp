@@ -148,12 +148,28 @@ nb::tuple tree_placement(const Topology& graph, const Vector<std::int32_t>& root
   return nb::make_tuple(out, as_array(std::move(used)));
 }
 
-Array<double> masat_placement(const Topology& graph, const Vector<std::int32_t>& roots,
-                              const Table<double>& measurements, const Table<double>& poses) {
+// Walks from the roots with `walk(group, roots, measurements, out)`.
+template <class F>
+Array<double> walked(const Topology& graph, const Vector<std::int32_t>& roots,
+                     const Table<double>& measurements, const Table<double>& poses, F walk) {
   check_roots(graph, span_of(roots));
   check_poses(graph, measurements, poses);
-  return placed(poses, [&]<class Group>(Group*, double* p) {
-    place_by_masat<Group>(graph, span_of(roots), measurements.data(), p);
+  return placed(
+      poses, [&](auto* group, double* p) { walk(group, span_of(roots), measurements.data(), p); });
+}
+
+Array<double> masat_placement(const Topology& graph, const Vector<std::int32_t>& roots,
+                              const Table<double>& measurements, const Table<double>& poses) {
+  return walked(graph, roots, measurements, poses, [&]<class Group>(Group*, auto... arguments) {
+    place_by_masat<Group>(graph, arguments...);
+  });
+}
+
+Array<double> surest_first_placement(const Topology& graph, const Vector<std::int32_t>& roots,
+                                     const Table<double>& measurements,
+                                     const Table<double>& poses) {
+  return walked(graph, roots, measurements, poses, [&]<class Group>(Group*, auto... arguments) {
+    place_surest_first<Group>(graph, arguments...);
   });
 }
 
@@ -497,6 +513,8 @@ NB_MODULE(_core, m) {
   m.def("place_along_tree", &tree_placement, "topology"_a, "roots"_a, "preferred"_a,
         "measurements"_a, "poses"_a);
   m.def("place_by_masat", &masat_placement, "topology"_a, "roots"_a, "measurements"_a, "poses"_a);
+  m.def("place_surest_first", &surest_first_placement, "topology"_a, "roots"_a, "measurements"_a,
+        "poses"_a);
   m.def("place_by_toro", &toro_placement, "topology"_a, "roots"_a, "measurements"_a,
         "information"_a, "poses"_a, "sweeps"_a);
 

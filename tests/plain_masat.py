@@ -1,4 +1,7 @@
-"""MASAT in plain Python: the readable specification, and the oracle of the native one."""
+"""MASAT in plain Python: the readable specification, and the oracle of the native one.
+
+And of its variant that goes on with the node of which most is known.
+"""
 
 from collections import deque
 
@@ -7,12 +10,16 @@ import numpy as np
 from masat import PoseGraph, lie
 
 
-def plain_masat(graph: PoseGraph, root: int) -> np.ndarray:
+def neighbours_of(graph: PoseGraph) -> list[list[tuple[int, int, bool]]]:
     neighbours = [[] for _ in graph.ids]
     for k, (a, b) in enumerate(graph.edge_indices):
         neighbours[a].append((b, k, False))
         neighbours[b].append((a, k, True))
+    return neighbours
 
+
+def plain_masat(graph: PoseGraph, root: int) -> np.ndarray:
+    neighbours = neighbours_of(graph)
     placed = {root: lie.identity(graph.dimension)}
     queued = {root}
     queue = deque([root])
@@ -29,6 +36,42 @@ def plain_masat(graph: PoseGraph, root: int) -> np.ndarray:
                 proposals.append(lie.compose(placed[neighbour], step))
         if node != root:
             placed[node] = average(np.array(proposals))
+    return np.array([placed[node] for node in range(len(graph.ids))])
+
+
+def plain_surest_first(graph: PoseGraph, root: int) -> np.ndarray:
+    neighbours = neighbours_of(graph)
+    placed = {root: lie.identity(graph.dimension)}
+    information = {}
+    arrived = {}  # node: (class of its information, when it came there)
+    time = 0
+
+    def tell(node, variance):
+        nonlocal time
+        for neighbour, _, _ in neighbours[node]:
+            if neighbour in placed:
+                continue
+            more = np.float32(1) / (variance + np.float32(1))
+            information[neighbour] = information.get(neighbour, np.float32(0)) + more
+            mantissa, exponent = np.frexp(information[neighbour])
+            now = (exponent, np.floor(32 * mantissa))
+            time += 1
+            if neighbour not in arrived or arrived[neighbour][0] != now:
+                arrived[neighbour] = (now, time)
+
+    tell(root, np.float32(0))
+    while arrived:
+        best, _ = max(arrived.values())
+        node = min((when, v) for v, (known, when) in arrived.items() if known == best)[1]
+        del arrived[node]
+        proposals = []
+        for neighbour, k, leads_here in neighbours[node]:
+            if neighbour in placed:
+                z = graph.measurements[k]
+                step = z if leads_here else lie.inverse(z)
+                proposals.append(lie.compose(placed[neighbour], step))
+        placed[node] = average(np.array(proposals))
+        tell(node, np.float32(1) / information[node])
     return np.array([placed[node] for node in range(len(graph.ids))])
 
 

@@ -37,6 +37,8 @@ def test_arrays_that_do_not_fit_are_refused():
         _core.indefinite(np.zeros((1, 4, 4)))
     with pytest.raises(ValueError, match="root out of range"):
         _core.place_by_masat(topology(), np.array([5], np.int32), a[:1], a)
+    with pytest.raises(ValueError, match="root out of range"):
+        _core.place_surest_first(topology(), np.array([-1], np.int32), a[:1], a)
     with pytest.raises(ValueError, match="measurements must be"):
         _core.place_by_masat(topology(), np.array([0], np.int32), a, a)
     with pytest.raises(ValueError, match="preferred"):

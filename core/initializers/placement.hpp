@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "graph/surest_queue.hpp"
 #include "graph/topology.hpp"
 
 namespace masat {
@@ -15,6 +16,19 @@ namespace masat {
 template <class Group>
 Group propose(const Group& pose, const Group& z, std::int32_t edge) {
   return pose * (edge >= 0 ? z : z.inverse());
+}
+
+// The average of what neighbours, of which there is at least one, say of a node. Not inlined, it
+// costs MASAT a tenth of its time.
+template <class Group>
+[[gnu::always_inline]] inline Group average(std::span<const Incidence> neighbours,
+                                            const Group* placed, const typename Group::Table& z) {
+  const auto proposal = [&](const Incidence& i) {
+    return propose(placed[i.node], z[i.edge >= 0 ? i.edge : ~i.edge], i.edge);
+  };
+  typename Group::Mean mean(proposal(neighbours[0]));
+  for (std::size_t k = 1; k < neighbours.size(); ++k) mean.add(proposal(neighbours[k]));
+  return mean.get();
 }
 
 // Places each node of the tree from its parent. The poses of the roots are given.
@@ -69,14 +83,50 @@ void place_by_masat(const Topology& graph, std::span<const std::int32_t> roots,
       s = std::max(s, kQueued);
     }
     if (head < roots.size()) continue;
-    const auto proposal = [&](const Incidence& i) {
-      return propose(placed[i.node], z[i.edge >= 0 ? i.edge : ~i.edge], i.edge);
-    };
-    typename Group::Mean mean(proposal(ancestors[0]));
-    for (std::size_t k = 1; k < count; ++k) mean.add(proposal(ancestors[k]));
-    placed[node] = mean.get();
+    placed[node] = average<Group>({ancestors.data(), count}, placed.data(), z);
     placed[node].store(poses + std::int64_t{Group::kSize} * node);
     state[node] = kPlaced;
+  }
+}
+
+// As MASAT, but next comes the node of which most is known. A measurement has the variance 1, a
+// placed node 1 / (sum of its proposals' information), and its proposal the sum of both. The poses
+// of the roots are given, and certain.
+template <class Group>
+void place_surest_first(const Topology& graph, std::span<const std::int32_t> roots,
+                        const double* measurements, double* poses) {
+  const std::size_t edges = graph.edges().size();
+  const typename Group::Table z(measurements, static_cast<std::int64_t>(edges));
+  std::vector<Group> placed(graph.nodes());
+  SurestQueue queue(graph.nodes(), edges);
+  std::vector<Incidence> ancestors(graph.max_degree() + 1);
+  std::vector<std::int32_t> heirs(graph.max_degree() + 1);
+
+  // Lists the placed neighbours, and tells the others. Which are which no branch predictor knows.
+  const auto visit = [&](std::int32_t node, float variance) {
+    std::size_t count = 0, others = 0;
+    for (const Incidence& i : graph.incident(node)) {
+      ancestors[count] = i;
+      heirs[others] = i.node;
+      const bool known = queue.retired(i.node);
+      count += known;
+      others += !known;
+    }
+    const float information = 1 / (variance + 1);
+    for (std::size_t k = 0; k < others; ++k) queue.add(heirs[k], information);
+    return count;
+  };
+  for (const std::int32_t root : roots) {
+    placed[root] = Group::load(poses + std::int64_t{Group::kSize} * root);
+    queue.retire(root);
+  }
+  for (const std::int32_t root : roots) visit(root, 0);
+  for (;;) {
+    const auto [node, information] = queue.take();
+    if (node < 0) break;
+    const std::size_t count = visit(node, 1 / information);
+    placed[node] = average<Group>({ancestors.data(), count}, placed.data(), z);
+    placed[node].store(poses + std::int64_t{Group::kSize} * node);
   }
 }
 

@@ -31,6 +31,9 @@ def place_along_tree(
 def place_by_masat(
     topology: Topology, roots: Indices, measurements: Floats, poses: Floats
 ) -> Floats: ...
+def place_surest_first(
+    topology: Topology, roots: Indices, measurements: Floats, poses: Floats
+) -> Floats: ...
 def place_by_toro(
     topology: Topology,
     roots: Indices,

@@ -34,7 +34,7 @@ _POLISHING = 60
 # The rank to lift to: in 2D one column more leaves local minima that two do not; in 3D the blocks
 # of a second one would be too large.
 _LIFTED_RANK = {2: 4, 3: 4}
-_NOISE = 0.1
+_NOISE = 0.3
 # Bytes of a factor that a higher rank may take.
 _MOST_MEMORY = 4e9
 
@@ -236,7 +236,7 @@ def solve(graph: PoseGraph, poses: Floats, *, prove: bool = False, seed: int = 0
     trusted = not prove and best.steps <= _NEAR and relaxed.plausible(best)
     if not known and not trusted and relaxed.can_lift():
         lifted = relaxed.lift(best.unknowns, np.random.default_rng(seed))
-        top = relaxed.minimise(lifted, decrease=1e-6, damping=3.0)
+        top = relaxed.minimise(lifted, decrease=1e-6 if prove else 1e-5, damping=30.0)
         bound = max(bound, top.cost - relaxed.gap(top))
         rounded = relaxed.polish(relaxed.poses(top.unknowns))
         if rounded.cost < best.cost:
