@@ -1,5 +1,6 @@
 """Pose-graph SLAM without a guess: read, diagnose, initialise, optimise, plot."""
 
+from masat.certificate import Certificate, certify
 from masat.covariance import covariances, relative_covariances
 from masat.diagnostics import Diagnosis, diagnose
 from masat.errors import (
@@ -18,6 +19,7 @@ from masat.optimizers import Iteration, Result, StopReason, optimize
 from masat.plotting import plot
 
 __all__ = [
+    "Certificate",
     "Diagnosis",
     "FormatError",
     "GraphError",
@@ -30,6 +32,7 @@ __all__ = [
     "PoseGraph",
     "Result",
     "StopReason",
+    "certify",
     "covariances",
     "diagnose",
     "initialize",

@@ -52,7 +52,7 @@ class Certificate:
         return (self.cost - self.bound) / self.cost if self.cost > 0 else 0.0
 
 
-def certify(graph: PoseGraph, *, seed: int = 0, threads: int = 1) -> Certificate:
+def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int = 1) -> Certificate:
     """Tell whether the poses of a graph, from whatever program, are globally optimal.
 
     The proof is of the chordal cost (see `masat.relaxation`): its minimum near the poses is global
@@ -64,6 +64,9 @@ def certify(graph: PoseGraph, *, seed: int = 0, threads: int = 1) -> Certificate
     ----------
     graph : PoseGraph
         A graph with the poses in question.
+    lift : bool
+        Whether to go to higher ranks where the poses' own leaves a gap: dear, and the way to a
+        better minimum if there is one.
     seed : int
         Of the noise that opens higher ranks.
     threads : int
@@ -82,7 +85,7 @@ def certify(graph: PoseGraph, *, seed: int = 0, threads: int = 1) -> Certificate
         raise OptimizationError("the graph has no poses: there is nothing to certify")
     own = optimize(graph, threads=threads)
     assert own.graph.poses is not None
-    solution = relaxation.solve(own.graph, own.graph.poses, prove=True, seed=seed)
+    solution = relaxation.solve(own.graph, own.graph.poses, prove=True, lift=lift, seed=seed)
     other = optimize(graph.with_poses(solution.poses), threads=threads)
     best = min(own, other, key=lambda result: result.chi2)
     lower = own.initial_chi2 - best.chi2 > _SAME * best.chi2 + 1e-12

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from masat import _core
+from masat import _core, quadratic
 from masat.arrays import Floats
 from masat.graph import PoseGraph
-from masat.initializers import quadratic
 
 # A gap below this share of the cost counts as none.
 TIGHT = 1e-3
@@ -221,20 +220,23 @@ class Solution:
         return self.cost - self.bound <= TIGHT * self.cost
 
 
-def solve(graph: PoseGraph, poses: Floats, *, prove: bool = False, seed: int = 0) -> Solution:
+def solve(
+    graph: PoseGraph, poses: Floats, *, prove: bool = False, lift: bool = True, seed: int = 0
+) -> Solution:
     """Minimise the chordal cost from poses on, in higher ranks where the lower leave doubt.
 
     A certificate bounds how far the minimum may lie above the global one. Where it leaves doubt,
     or, to `prove`, a gap, the poses are lifted: columns of noise are added to their frames, which
     opens ways out of local minima. The minimum there, rounded to rotations, leads back to poses;
-    its own certificate may tighten the bound. Source: as of `Relaxation`.
+    its own certificate may tighten the bound. Without `lift` nothing is lifted. Source: as of
+    `Relaxation`.
     """
     relaxed = Relaxation(graph)
     best = top = relaxed.polish(poses)
     bound = best.cost - relaxed.gap(best)
     known = best.cost - bound <= TIGHT * best.cost
     trusted = not prove and best.steps <= _NEAR and relaxed.plausible(best)
-    if not known and not trusted and relaxed.can_lift():
+    if lift and not known and not trusted and relaxed.can_lift():
         lifted = relaxed.lift(best.unknowns, np.random.default_rng(seed))
         top = relaxed.minimise(lifted, decrease=1e-6 if prove else 1e-5, damping=30.0)
         bound = max(bound, top.cost - relaxed.gap(top))

@@ -17,6 +17,7 @@ _COMMANDS = {
     "solve": "Optimise a pose graph and write the map.",
     "info": "Say what a pose graph is like and what is odd about it.",
     "compare": "Solve a pose graph from every start and compare.",
+    "certify": "Tell whether the poses of a file are globally optimal.",
     "convert": "Convert a pose graph to g2o.",
     "study": "Run and report the paper's evaluation, or a study of your own.",
     "simulate": "Simulate a world and write its pose graph.",

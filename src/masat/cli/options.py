@@ -69,22 +69,28 @@ def start(command: F) -> F:
     return click.option(
         "--init",
         type=click.Choice(list(INITIALIZERS)),
-        default="masat",
+        default="auto",
         show_default=True,
-        help="Initial guess; 'given' keeps the poses of FILE.",
+        help="Initial guess: 'auto' begins with chordal, checks, and lifts where that leaves doubt; "
+        "'given' keeps the poses of FILE; docs/starts.md compares them all.",
+    )(command)
+
+
+def threads(command: F) -> F:
+    """Add --threads."""
+    return click.option(
+        "--threads",
+        type=click.IntRange(min=1),
+        default=1,
+        show_default=True,
+        help="Threads of the factorisation; the numbers do not depend on it.",
     )(command)
 
 
 def optimizer(command: F) -> F:
     """Add --optimizer, --max-iterations, --tolerance and --threads."""
     for option in (
-        click.option(
-            "--threads",
-            type=click.IntRange(min=1),
-            default=1,
-            show_default=True,
-            help="Threads of the factorisation; the numbers do not depend on it.",
-        ),
+        threads,
         click.option(
             "--tolerance",
             type=click.FloatRange(min=0),

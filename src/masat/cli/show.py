@@ -9,7 +9,9 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
+from masat.certificate import Certificate
 from masat.optimizers import Iteration, Result
 
 if TYPE_CHECKING:
@@ -47,6 +49,22 @@ def number(value: float | None) -> str:
 def duration(seconds: float) -> str:
     """Return milliseconds or seconds."""
     return f"{seconds * 1e3:.3g} ms" if seconds < 1 else f"{seconds:.2f} s"
+
+
+def certificate(proof: Certificate | None) -> dict[str, Any] | None:
+    """Return what JSON says of a certificate."""
+    if proof is None:
+        return None
+    return {
+        "certified": proof.certified,
+        "message": proof.message,
+        "chi2": proof.chi2,
+        "optimum": proof.optimum,
+        "chordal_cost": proof.cost,
+        "bound": proof.bound if np.isfinite(proof.bound) else None,
+        "gap": proof.gap if np.isfinite(proof.gap) else None,
+        "exact": proof.exact,
+    }
 
 
 def summary(result: Result) -> dict[str, Any]:

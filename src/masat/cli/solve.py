@@ -8,10 +8,13 @@ from typing import Any
 
 import click
 
+from masat.certificate import Certificate, certify
 from masat.cli import EXIT_NOT_CONVERGED, options, show
 from masat.formats import write
 from masat.initializers import initialize
 from masat.optimizers import Result, optimize
+
+_NAMES = {True: "cost", False: "chordal cost"}
 
 
 @click.command(
@@ -81,6 +84,7 @@ def solve(
         plot({f"{init}: chi2 {result.initial_chi2:.4g}": guess,
               f"optimised: chi2 {result.chi2:.4g}": result.graph}, picture)  # fmt: skip
     times = {"read": loaded - begin, "initialize": guessed - loaded, "optimize": result.seconds}
+    proof = None if quiet and not as_json else certify(result.graph, lift=False, threads=threads)
     if as_json:
         about: dict[str, Any] = {
             "file": str(file),
@@ -90,16 +94,23 @@ def solve(
             "notes": list(guess.notes),
             "times": times,
         }
-        show.as_json(about | show.summary(result))
-    elif not quiet:
-        _tell(result, init, times, [p for p in (out, save, picture) if p is not None])
+        show.as_json(about | show.summary(result) | {"certificate": show.certificate(proof)})
+    elif proof is not None:
+        written = [p for p in (out, save, picture) if p is not None]
+        _tell(result, proof, init, times, written)
     if not result.converged:
         if quiet or as_json:
             click.echo(f"masat: {file}: {result.message}", err=True)
         ctx.exit(EXIT_NOT_CONVERGED)
 
 
-def _tell(result: Result, init: str, times: dict[str, float], written: list[Path]) -> None:
+def _tell(
+    result: Result,
+    proof: Certificate,
+    init: str,
+    times: dict[str, float],
+    written: list[Path],
+) -> None:
     graph = result.graph
     shown = ", ".join(map(str, result.anchors[:5])) + (", ..." if len(result.anchors) > 5 else "")
     rows = [
@@ -107,6 +118,7 @@ def _tell(result: Result, init: str, times: dict[str, float], written: list[Path
         ("start", f"{init}, chi2 {result.initial_chi2:.6g}"),
         ("result", f"chi2 {result.chi2:.6g} in {result.iterations} iterations of {result.method}"),
         ("stopped", result.message),
+        ("optimum", _optimum(proof)),
         ("reduced chi2", _quality(result.reduced_chi2)),
         ("held still", f"node {shown}"),
         ("time", ", ".join(f"{k} {show.duration(v)}" for k, v in times.items())),
@@ -114,6 +126,12 @@ def _tell(result: Result, init: str, times: dict[str, float], written: list[Path
     ]
     for name, text in rows:
         click.echo(f"{name:<13} {text}")
+
+
+def _optimum(proof: Certificate) -> str:
+    if proof.certified:
+        return f"global, certified to {proof.gap:.1g} of the {_NAMES[proof.exact]}"
+    return "not certified: ask masat certify, which may find a better one"
 
 
 def _quality(reduced: float | None) -> str:

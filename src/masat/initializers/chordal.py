@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from masat import quadratic
 from masat.graph import PoseGraph
-from masat.initializers import quadratic
 from masat.initializers.roots import anchored, rooted
 
 

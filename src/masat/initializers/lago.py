@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from masat import _core, lie
+from masat import _core, lie, quadratic
 from masat.arrays import Floats
 from masat.errors import InitializationError
 from masat.graph import PoseGraph
-from masat.initializers import quadratic
 from masat.initializers.roots import rooted, roots_of
 
 _TURN = 2 * np.pi

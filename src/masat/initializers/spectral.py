@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from masat import _core
+from masat import _core, quadratic
 from masat.arrays import Floats, Ids, Indices
 from masat.graph import PoseGraph
-from masat.initializers import quadratic
 from masat.initializers.roots import anchored, rooted
 
 _MOST_STEPS = 100
