@@ -37,7 +37,7 @@ def test_solve_writes_the_optimum_and_says_so(run, world, tmp_path):
     out, picture = tmp_path / "map.g2o.gz", tmp_path / "map.png"
     code, text, err = run("solve", world, "-o", out, "--plot", picture)
     assert (code, err) == (0, "")
-    best = masat.optimize(masat.initialize(masat.read(world)))
+    best = masat.optimize(masat.initialize(masat.read(world), "auto"))
     assert np.array_equal(masat.read(out).poses, best.poses)
     assert f"chi2 {best.chi2:.6g}" in text
     assert "held still    node 0" in text
@@ -66,11 +66,13 @@ def test_a_saved_result_can_be_loaded(run, world, tmp_path):
 
 def test_without_convergence_the_best_is_written_and_the_code_is_1(run, world, tmp_path):
     out = tmp_path / "map.g2o"
-    code, text, _ = run("solve", world, "-o", out, "--max-iterations", 1)
+    code, text, _ = run("solve", world, "-o", out, "--init", "masat", "--max-iterations", 1)
     assert code == 1
     assert "iteration limit reached" in text
     assert masat.read(out).poses is not None
-    code, _, err = run("solve", world, "-o", out, "--max-iterations", 1, "--quiet")
+    code, _, err = run(
+        "solve", world, "-o", out, "--init", "masat", "--max-iterations", 1, "--quiet"
+    )
     assert code == 1
     assert err.startswith("masat: ")
 
@@ -199,3 +201,36 @@ def test_the_command_is_installed_and_starts_without_matplotlib_and_rich():
     assert told.stdout.strip() == "set()"
     command = [sys.executable, "-m", "masat", "--version"]
     assert subprocess.run(command, capture_output=True, text=True).stdout.startswith("masat")
+
+
+def test_certify_tells_what_it_proved(run, tmp_path):
+    from test_relaxation import ring, twisted
+
+    local, better = tmp_path / "local.g2o", tmp_path / "better.g2o"
+    masat.write(ring(12).with_poses(twisted(ring(12))), local)
+    code, text, _ = run("certify", local, "-o", better)
+    assert code == 1
+    assert "not optimal: another minimum" in text
+    code, text, _ = run("certify", better)
+    assert code == 0
+    assert "certified     yes" in text
+    said = json.loads(run("certify", local, "--json")[1])
+    assert said["certified"] is False
+    assert said["optimum"] < said["chi2"]
+
+
+def test_certify_refuses_to_write_over_its_input(run, tmp_path):
+    from test_relaxation import ring, twisted
+
+    path = tmp_path / "graph.g2o"
+    masat.write(ring(12).with_poses(twisted(ring(12))), path)
+    code, _, error = run("certify", path, "-o", path)
+    assert code == 2
+    assert "never changed" in error
+
+
+def test_solve_tells_whether_the_optimum_is_certified(run, tmp_path):
+    path = tmp_path / "graph.g2o"
+    masat.write(perturb(manhattan(200, seed=0), [0.1, 0.1, 0.1], seed=0), path)
+    assert "global, certified to" in run("solve", path)[1]
+    assert json.loads(run("solve", path, "--json")[1])["certificate"]["certified"] is True

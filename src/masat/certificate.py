@@ -85,7 +85,7 @@ def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int 
         raise OptimizationError("the graph has no poses: there is nothing to certify")
     own = optimize(graph, threads=threads)
     assert own.graph.poses is not None
-    solution = relaxation.solve(own.graph, own.graph.poses, prove=True, lift=lift, seed=seed)
+    solution = relaxation.solve(own.graph, own.graph.poses, lift=lift, seed=seed)
     other = optimize(graph.with_poses(solution.poses), threads=threads)
     best = min(own, other, key=lambda result: result.chi2)
     lower = own.initial_chi2 - best.chi2 > _SAME * best.chi2 + 1e-12

@@ -77,6 +77,11 @@ class Relaxation:
         self._matrix = _core.GraphMatrix(graph.elimination, graph.dimension + 1)
         self._scale = float(np.median(self.weights.rotation)) if len(graph.edges) else 1.0
 
+    @property
+    def rounding(self) -> float:
+        """The cost that rounding errors alone may make."""
+        return 1e-15 * float(self.weights.rotation.sum())
+
     def unknowns(self, poses: Floats, rank: int) -> Floats:
         """Return the unknowns of poses, (n, d + 1, rank)."""
         d = self.graph.dimension
@@ -105,9 +110,11 @@ class Relaxation:
 
     def point(self, poses: Floats) -> Point:
         """Return poses as they are, at their own rank, and their cost."""
-        return self.minimise(
-            self.unknowns(poses, self.graph.dimension), decrease=0.0, damping=0.0, steps=0
-        )
+        x = self.unknowns(poses, self.graph.dimension)
+        forcing, constant = self._system(x)
+        free = np.ascontiguousarray(x[self._free])
+        pulled = self._matrix.multiply(free)
+        return Point(x, float((free * (pulled - 2 * forcing)).sum()) + constant)
 
     def polish(self, poses: Floats) -> Point:
         """Go down from poses, at their own rank."""
@@ -221,28 +228,54 @@ class Solution:
 
 
 def solve(
-    graph: PoseGraph, poses: Floats, *, prove: bool = False, lift: bool = True, seed: int = 0
+    graph: PoseGraph,
+    poses: Floats,
+    *,
+    trust: bool = False,
+    lift: bool = True,
+    decrease: float = 1e-6,
+    seed: int = 0,
 ) -> Solution:
-    """Minimise the chordal cost from poses on, in higher ranks where the lower leave doubt.
+    """Minimise the chordal cost from poses on, in a higher rank where their own leaves doubt.
 
-    A certificate bounds how far the minimum may lie above the global one. Where it leaves doubt,
-    or, to `prove`, a gap, the poses are lifted: columns of noise are added to their frames, which
-    opens ways out of local minima. The minimum there, rounded to rotations, leads back to poses;
-    its own certificate may tighten the bound. Without `lift` nothing is lifted. Source: as of
-    `Relaxation`.
+    A certificate bounds how far the minimum may lie above the global one. Where it leaves a gap,
+    the poses are lifted: columns of noise are added to their frames, which opens ways out of local
+    minima. The minimum there, rounded to rotations, leads back to poses; its own certificate may
+    tighten the bound. Source: as of `Relaxation`.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        The graph.
+    poses : ndarray, (n, 3) or (n, 7)
+        Where to begin, the anchors at their places.
+    trust : bool
+        Whether a plausible minimum that was near the poses needs no proof.
+    lift : bool
+        Whether to go to a higher rank at all.
+    decrease : float
+        There, stop at a step that promises less than this share of the cost.
+    seed : int
+        Of the noise.
+
+    Returns
+    -------
+    Solution
     """
     relaxed = Relaxation(graph)
     best = top = relaxed.polish(poses)
     bound = best.cost - relaxed.gap(best)
-    known = best.cost - bound <= TIGHT * best.cost
-    trusted = not prove and best.steps <= _NEAR and relaxed.plausible(best)
+    known = best.cost - bound <= TIGHT * best.cost + relaxed.rounding
+    trusted = trust and best.steps <= _NEAR and relaxed.plausible(best)
     if lift and not known and not trusted and relaxed.can_lift():
         lifted = relaxed.lift(best.unknowns, np.random.default_rng(seed))
-        top = relaxed.minimise(lifted, decrease=1e-6 if prove else 1e-5, damping=30.0)
+        top = relaxed.minimise(lifted, decrease=decrease, damping=30.0)
         bound = max(bound, top.cost - relaxed.gap(top))
         rounded = relaxed.polish(relaxed.poses(top.unknowns))
         if rounded.cost < best.cost:
             best = rounded
             bound = max(bound, best.cost - relaxed.gap(best))
-    # Rounding errors may lift the bound above the cost.
-    return Solution(relaxed.poses(best.unknowns), best.cost, min(bound, best.cost), top.rank)
+    # Rounding errors move both.
+    if best.cost - bound <= relaxed.rounding:
+        bound = best.cost
+    return Solution(relaxed.poses(best.unknowns), best.cost, bound, top.rank)

@@ -71,7 +71,7 @@ def start(command: F) -> F:
         type=click.Choice(list(INITIALIZERS)),
         default="auto",
         show_default=True,
-        help="Initial guess: 'auto' begins with chordal, checks, and lifts where that leaves doubt; "
+        help="Initial guess: 'auto' begins with chordal, checks, lifts where that leaves doubt; "
         "'given' keeps the poses of FILE; docs/starts.md compares them all.",
     )(command)
 

@@ -17,5 +17,5 @@ def lifted(graph: PoseGraph, root: int | None = None, *, seed: int = 0) -> PoseG
     """
     start = chordal(graph)
     assert start.poses is not None
-    solution = relaxation.solve(start, start.poses, seed=seed)
+    solution = relaxation.solve(start, start.poses, trust=True, decrease=1e-5, seed=seed)
     return rooted(start, solution.poses, root, [])
