@@ -55,4 +55,15 @@ auto with_group(std::size_t pose_size, F f) {
   return pose_size == SE2::kSize ? f(static_cast<SE2*>(nullptr)) : f(static_cast<SE3*>(nullptr));
 }
 
+// A copy of `poses`, changed by `place(group, out)` without the interpreter lock.
+template <class F>
+Array<double> placed(const Table<double>& poses, F place) {
+  std::vector<double> out(poses.data(), poses.data() + poses.size());
+  {
+    nb::gil_scoped_release release;
+    with_group(poses.shape(1), [&](auto* group) { place(group, out.data()); });
+  }
+  return as_array(std::move(out), {poses.shape(0), poses.shape(1)});
+}
+
 }  // namespace masat

@@ -1,0 +1,164 @@
+// The normal equations of the optimizers.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/unique_ptr.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "bindings/arrays.hpp"
+#include "bindings/bindings.hpp"
+#include "graph/topology.hpp"
+#include "optimizers/normal_equations.hpp"
+
+namespace masat {
+namespace {
+
+using namespace nb::literals;
+
+std::unique_ptr<NormalEquations> make_equations(const Topology& graph,
+                                                std::shared_ptr<Elimination> elimination,
+                                                const Table<double>& measurements,
+                                                const Stack& information, int threads) {
+  const std::size_t m = graph.edges().size();
+  require(measurements.shape(0) == m && information.shape(0) == m, "one row an edge");
+  require(
+      elimination->nodes() == graph.nodes() && elimination->edges() == static_cast<std::int64_t>(m),
+      "the elimination must be of the same graph");
+  nb::gil_scoped_release release;
+  return with_group(
+      measurements.shape(1), [&]<class Group>(Group*) -> std::unique_ptr<NormalEquations> {
+        require(information.shape(1) == Group::kDof && information.shape(2) == Group::kDof,
+                "information must be (m, d, d)");
+        return std::make_unique<NormalEquationsOf<Group>>(
+            graph, std::move(elimination), measurements.data(), information.data(), threads);
+      });
+}
+
+const double* check_poses(const NormalEquations& equations, const Table<double>& poses) {
+  require(poses.shape(0) == static_cast<std::size_t>(equations.nodes()) &&
+              poses.shape(1) == static_cast<std::size_t>(equations.pose_size()),
+          "poses must be (n, 3) or (n, 7)");
+  return poses.data();
+}
+
+std::size_t unknowns(const NormalEquations& e) { return e.free_nodes().size() * e.dof(); }
+
+Array<double> edge_chi2(NormalEquations& equations, const Table<double>& poses) {
+  const double* const p = check_poses(equations, poses);
+  std::vector<double> out(equations.edges());
+  {
+    nb::gil_scoped_release release;
+    equations.edge_chi2(p, out.data());
+  }
+  return as_array(std::move(out));
+}
+
+Array<double> step_of(NormalEquations& equations) {
+  std::vector<double> step(unknowns(equations));
+  {
+    nb::gil_scoped_release release;
+    equations.solve(step.data());
+  }
+  return as_array(std::move(step));
+}
+
+Array<double> inverse_of(const NormalEquations& equations, const Vector<std::int32_t>& rows,
+                         const Vector<std::int32_t>& columns) {
+  require(rows.shape(0) == columns.shape(0), "as many rows as columns");
+  const auto free = static_cast<std::int32_t>(equations.free_nodes().size());
+  for (const auto& places : {span_of(rows), span_of(columns)}) {
+    for (const std::int32_t k : places) require(k >= 0 && k < free, "block out of range");
+  }
+  const std::size_t d = equations.dof();
+  std::vector<double> out(rows.shape(0) * d * d);
+  {
+    nb::gil_scoped_release release;
+    equations.inverse(span_of(rows), span_of(columns), out.data());
+  }
+  return as_array(std::move(out), {rows.shape(0), d, d});
+}
+
+Array<double> moved(const NormalEquations& equations, const Table<double>& poses,
+                    const Vector<double>& step) {
+  const double* const p = check_poses(equations, poses);
+  require(step.shape(0) == unknowns(equations), "the step must have an entry an unknown");
+  std::vector<double> out(poses.size());
+  {
+    nb::gil_scoped_release release;
+    equations.retract(p, step.data(), out.data());
+  }
+  return as_array(std::move(out), {poses.shape(0), poses.shape(1)});
+}
+
+}  // namespace
+
+void bind_equations(nb::module_& m) {
+  nb::class_<NormalEquations>(m, "NormalEquations")
+      .def(nb::new_(&make_equations), "topology"_a, "elimination"_a, "measurements"_a,
+           "information"_a, "threads"_a = 1)
+      .def(
+          "chi2",
+          [](NormalEquations& e, const Table<double>& poses) {
+            const double* const p = check_poses(e, poses);
+            nb::gil_scoped_release release;
+            return e.chi2(p);
+          },
+          "poses"_a)
+      .def("edge_chi2", &edge_chi2, "poses"_a)
+      .def(
+          "linearize",
+          [](NormalEquations& e, const Table<double>& poses,
+             const std::optional<Vector<double>>& weights) {
+            const double* const p = check_poses(e, poses);
+            std::span<const double> w;
+            if (weights) {
+              w = span_of(*weights);
+              require(w.size() == static_cast<std::size_t>(e.edges()), "one weight an edge");
+            }
+            nb::gil_scoped_release release;
+            return e.linearize(p, w);
+          },
+          "poses"_a, "weights"_a = nb::none())
+      .def("rhs",
+           [](const NormalEquations& e) {
+             return as_array(std::vector<double>(e.rhs().begin(), e.rhs().end()));
+           })
+      .def("diagonal",
+           [](const NormalEquations& e) {
+             std::vector<double> out(unknowns(e));
+             e.diagonal(out.data());
+             return as_array(std::move(out));
+           })
+      .def(
+          "multiply",
+          [](const NormalEquations& e, const Vector<double>& v) {
+            require(v.shape(0) == unknowns(e), "the vector must have an entry an unknown");
+            std::vector<double> out(unknowns(e));
+            {
+              nb::gil_scoped_release release;
+              e.multiply(v.data(), out.data());
+            }
+            return as_array(std::move(out));
+          },
+          "v"_a)
+      .def(
+          "factorize",
+          [](NormalEquations& e, const Vector<double>& damping) {
+            require(damping.shape(0) == unknowns(e), "damping must have an entry an unknown");
+            nb::gil_scoped_release release;
+            return e.factorize(span_of(damping));
+          },
+          "damping"_a)
+      .def("solve", &step_of)
+      .def("inverse", &inverse_of, "rows"_a, "columns"_a)
+      .def("retract", &moved, "poses"_a, "step"_a);
+}
+
+}  // namespace masat

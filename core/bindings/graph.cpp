@@ -1,0 +1,131 @@
+// The graph, and the starts that walk over it.
+#include <nanobind/nanobind.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "bindings/arrays.hpp"
+#include "bindings/bindings.hpp"
+#include "graph/topology.hpp"
+#include "initializers/placement.hpp"
+#include "initializers/toro.hpp"
+
+namespace masat {
+
+void check_poses(const Topology& graph, const Table<double>& measurements,
+                 const Table<double>& poses) {
+  require(measurements.shape(0) == graph.edges().size() &&
+              poses.shape(0) == static_cast<std::size_t>(graph.nodes()) &&
+              poses.shape(1) == measurements.shape(1),
+          "measurements must be (m, k), poses (n, k)");
+}
+
+namespace {
+
+using namespace nb::literals;
+
+Topology make_topology(std::int32_t nodes, const Table<std::int32_t>& edges) {
+  require(edges.shape(1) == 2, "edges must be (m, 2)");
+  require(edges.shape(0) < (std::size_t{1} << 30), "more than 2^30 edges");
+  const std::int32_t* const p = edges.data();
+  nb::gil_scoped_release release;
+  std::vector<Edge> list(edges.shape(0));
+  for (std::size_t k = 0; k < list.size(); ++k) {
+    list[k] = {p[2 * k], p[2 * k + 1]};
+    require(list[k].from >= 0 && list[k].from < nodes && list[k].to >= 0 && list[k].to < nodes,
+            "edge index out of range");
+  }
+  return Topology(nodes, std::move(list));
+}
+
+void check_roots(const Topology& graph, std::span<const std::int32_t> roots) {
+  for (const std::int32_t r : roots) require(r >= 0 && r < graph.nodes(), "root out of range");
+}
+
+std::vector<TreeLink> tree(const Topology& graph, const Vector<std::int32_t>& roots,
+                           const Vector<bool>& preferred) {
+  check_roots(graph, span_of(roots));
+  require(preferred.shape(0) == 0 || preferred.shape(0) == graph.edges().size(),
+          "preferred must be empty or have an entry an edge");
+  return graph.tree(span_of(roots), span_of(preferred));
+}
+
+nb::tuple tree_placement(const Topology& graph, const Vector<std::int32_t>& roots,
+                         const Vector<bool>& preferred, const Table<double>& measurements,
+                         const Table<double>& poses) {
+  check_poses(graph, measurements, poses);
+  std::vector<TreeLink> links;
+  std::vector<std::int32_t> used;
+  auto out = placed(poses, [&]<class Group>(Group*, double* p) {
+    links = tree(graph, roots, preferred);
+    for (const TreeLink& link : links) {
+      if (link.edge >= 0) used.push_back(link.edge);
+    }
+    place_along_tree<Group>(graph, links, measurements.data(), p);
+  });
+  return nb::make_tuple(out, as_array(std::move(used)));
+}
+
+// Walks from the roots with `walk(group, roots, measurements, out)`.
+template <class F>
+Array<double> walked(const Topology& graph, const Vector<std::int32_t>& roots,
+                     const Table<double>& measurements, const Table<double>& poses, F walk) {
+  check_roots(graph, span_of(roots));
+  check_poses(graph, measurements, poses);
+  return placed(
+      poses, [&](auto* group, double* p) { walk(group, span_of(roots), measurements.data(), p); });
+}
+
+Array<double> masat_placement(const Topology& graph, const Vector<std::int32_t>& roots,
+                              const Table<double>& measurements, const Table<double>& poses) {
+  return walked(graph, roots, measurements, poses, [&]<class Group>(Group*, auto... arguments) {
+    place_by_masat<Group>(graph, arguments...);
+  });
+}
+
+Array<double> surest_first_placement(const Topology& graph, const Vector<std::int32_t>& roots,
+                                     const Table<double>& measurements,
+                                     const Table<double>& poses) {
+  return walked(graph, roots, measurements, poses, [&]<class Group>(Group*, auto... arguments) {
+    place_surest_first<Group>(graph, arguments...);
+  });
+}
+
+Array<double> toro_placement(const Topology& graph, const Vector<std::int32_t>& roots,
+                             const Table<double>& measurements, const Stack& information,
+                             const Table<double>& poses, int sweeps) {
+  check_roots(graph, span_of(roots));
+  check_poses(graph, measurements, poses);
+  require(sweeps >= 0, "sweeps must not be negative");
+  return placed(poses, [&]<class Group>(Group*, double* p) {
+    require(information.shape(0) == graph.edges().size() && information.shape(1) == Group::kDof &&
+                information.shape(2) == Group::kDof,
+            "information must be (m, d, d)");
+    place_by_toro<Group>(graph, span_of(roots), measurements.data(), information.data(), sweeps, p);
+  });
+}
+
+}  // namespace
+
+void bind_graph(nb::module_& m) {
+  nb::class_<Topology>(m, "Topology")
+      .def(
+          "__init__",
+          [](Topology* self, std::int32_t nodes, const Table<std::int32_t>& edges) {
+            new (self) Topology(make_topology(nodes, edges));
+          },
+          "nodes"_a, "edges"_a)
+      .def("components", [](const Topology& t) { return as_array(t.components()); });
+  m.def("place_along_tree", &tree_placement, "topology"_a, "roots"_a, "preferred"_a,
+        "measurements"_a, "poses"_a);
+  m.def("place_by_masat", &masat_placement, "topology"_a, "roots"_a, "measurements"_a, "poses"_a);
+  m.def("place_surest_first", &surest_first_placement, "topology"_a, "roots"_a, "measurements"_a,
+        "poses"_a);
+  m.def("place_by_toro", &toro_placement, "topology"_a, "roots"_a, "measurements"_a,
+        "information"_a, "poses"_a, "sweeps"_a);
+}
+
+}  // namespace masat

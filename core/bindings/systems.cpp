@@ -1,0 +1,165 @@
+// Linear systems over the graph: analysis, factorisation, and the translations they settle.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/unique_ptr.h>
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "bindings/arrays.hpp"
+#include "bindings/bindings.hpp"
+#include "graph/topology.hpp"
+#include "initializers/translations.hpp"
+#include "sparse/elimination.hpp"
+#include "sparse/graph_matrix.hpp"
+
+namespace masat {
+
+void check_rows(const GraphMatrix& matrix, const Stack& v) {
+  const std::size_t d = matrix.block_size();
+  require(v.shape(0) * d == static_cast<std::size_t>(matrix.rows()) && v.shape(1) == d,
+          "a table must be (free nodes, d, k)");
+}
+
+namespace {
+
+using namespace nb::literals;
+
+std::shared_ptr<Elimination> make_elimination(const Topology& graph, const Vector<bool>& held,
+                                              const Vector<std::int32_t>& order) {
+  require(held.shape(0) == static_cast<std::size_t>(graph.nodes()), "one flag a node");
+  std::vector<bool> seen(order.shape(0));
+  for (const std::int32_t k : span_of(order)) {
+    require(k >= 0 && static_cast<std::size_t>(k) < seen.size() && !seen[k],
+            "the order must be a permutation");
+    seen[k] = true;
+  }
+  const auto free = std::count(held.data(), held.data() + held.shape(0), false);
+  require(seen.empty() || static_cast<std::ptrdiff_t>(seen.size()) == free,
+          "the order must name each free node once");
+  nb::gil_scoped_release release;
+  return std::make_shared<Elimination>(graph, span_of(held), span_of(order));
+}
+
+// Compressed rows: the neighbours of each free node, by their places.
+nb::tuple adjacency_of(const Elimination& elimination) {
+  std::vector<std::int64_t> start{0};
+  std::vector<std::int32_t> neighbours;
+  for (std::int32_t k = 0; k < elimination.adjacency().nodes(); ++k) {
+    for (const auto& neighbour : elimination.adjacency().neighbours(k)) {
+      neighbours.push_back(neighbour.node);
+    }
+    start.push_back(static_cast<std::int64_t>(neighbours.size()));
+  }
+  return nb::make_tuple(as_array(std::move(start)), as_array(std::move(neighbours)));
+}
+
+std::unique_ptr<GraphMatrix> make_matrix(std::shared_ptr<Elimination> elimination, int block_size,
+                                         int threads) {
+  require(block_size >= 1 && block_size <= kLargestBlock, "blocks have 1 to 10 rows");
+  nb::gil_scoped_release release;
+  return std::make_unique<GraphMatrix>(std::move(elimination), block_size, threads);
+}
+
+Array<double> assembled(GraphMatrix& matrix, const Topology& graph, const Stack& first,
+                        const Stack& joint, const Stack& second, const Stack& values) {
+  const std::size_t d = matrix.block_size(), columns = values.shape(2);
+  for (const Stack* blocks : {&first, &joint, &second}) {
+    require(
+        blocks->shape(0) == graph.edges().size() && blocks->shape(1) == d && blocks->shape(2) == d,
+        "the blocks of the edges must be (m, d, d)");
+  }
+  require(graph.nodes() == matrix.elimination()->nodes() &&
+              static_cast<std::int64_t>(graph.edges().size()) == matrix.elimination()->edges(),
+          "the elimination must be of the same graph");
+  require(values.shape(0) == static_cast<std::size_t>(graph.nodes()) && values.shape(1) == d,
+          "values must be (n, d, k)");
+  std::vector<double> forcing(matrix.rows() * columns);
+  {
+    nb::gil_scoped_release release;
+    matrix.assemble(graph, first.data(), joint.data(), second.data(), values.data(),
+                    static_cast<int>(columns), forcing.data());
+  }
+  return as_array(std::move(forcing), {matrix.rows() / d, d, columns});
+}
+
+// A copy of v, changed without the interpreter lock.
+template <class F>
+Array<double> changed(const GraphMatrix& matrix, const Stack& v, F change) {
+  check_rows(matrix, v);
+  std::vector<double> out(v.data(), v.data() + v.size());
+  {
+    nb::gil_scoped_release release;
+    change(out, static_cast<int>(v.shape(2)));
+  }
+  return as_array(std::move(out), {v.shape(0), v.shape(1), v.shape(2)});
+}
+
+// The poses, and -1 or the node whose translation is not determined.
+nb::tuple settled(const Topology& graph, std::shared_ptr<Elimination> elimination,
+                  const Table<double>& measurements, const Stack& information,
+                  const Table<double>& poses) {
+  check_poses(graph, measurements, poses);
+  std::int32_t broken = -1;
+  auto out = placed(poses, [&]<class Group>(Group*, double* p) {
+    require(information.shape(0) == graph.edges().size() && information.shape(1) == Group::kDof &&
+                information.shape(2) == Group::kDof,
+            "information must be (m, d, d)");
+    broken = settle_translations<Group>(graph, std::move(elimination), measurements.data(),
+                                        information.data(), p);
+  });
+  return nb::make_tuple(out, broken);
+}
+
+}  // namespace
+
+void bind_systems(nb::module_& m) {
+  nb::class_<Elimination>(m, "Elimination")
+      .def(nb::new_(&make_elimination), "topology"_a, "held"_a, "order"_a)
+      .def("free_nodes",
+           [](const Elimination& e) {
+             return as_array(
+                 std::vector<std::int32_t>(e.free_nodes().begin(), e.free_nodes().end()));
+           })
+      .def("adjacency", &adjacency_of)
+      .def("fill", &Elimination::fill, "block_size"_a)
+      .def("operations", &Elimination::operations, "block_size"_a);
+
+  nb::class_<GraphMatrix>(m, "GraphMatrix")
+      .def(nb::new_(&make_matrix), "elimination"_a, "block_size"_a, "threads"_a = 1)
+      .def("assemble", &assembled, "topology"_a, "first"_a, "joint"_a, "second"_a, "values"_a)
+      .def(
+          "factorize",
+          [](GraphMatrix& matrix, const Vector<double>& damping) {
+            require(damping.shape(0) == static_cast<std::size_t>(matrix.rows()),
+                    "damping must have an entry a row");
+            nb::gil_scoped_release release;
+            return matrix.factorize(span_of(damping));
+          },
+          "damping"_a)
+      .def(
+          "multiply",
+          [](const GraphMatrix& matrix, const Stack& v) {
+            return changed(matrix, v, [&](std::vector<double>& out, int columns) {
+              matrix.multiply(v.data(), columns, out.data());
+            });
+          },
+          "v"_a)
+      .def(
+          "solve",
+          [](const GraphMatrix& matrix, const Stack& rhs) {
+            return changed(matrix, rhs, [&](std::vector<double>& out, int columns) {
+              matrix.solve(out, columns);
+            });
+          },
+          "rhs"_a);
+
+  m.def("settle_translations", &settled, "topology"_a, "elimination"_a, "measurements"_a,
+        "information"_a, "poses"_a);
+}
+
+}  // namespace masat
