@@ -36,7 +36,7 @@ sanitize: $(VENV)/.test
 
 # In an environment of its own: one of the peers needs an old NumPy.
 benchmark: $(VENV)/bench/.done
-	for table in start factor solvers process scaling; do \
+	for table in start factor solvers guesses process scaling; do \
 	  $(VENV)/bench/bin/python -m benchmarks.$$table && echo || exit 1; \
 	done
 

@@ -32,12 +32,17 @@ class Case:
         """Tell whether this is the best known minimum."""
         return chi2 <= self.best * (1 + 1e-6)
 
+    @property
+    def source(self) -> Path:
+        """Where the original lies."""
+        return DATA / self.file
+
     def plain(self, folder: Path) -> Path:
         """Return a g2o file that every solver reads: the original, or a copy without its oddities.
 
         Oddities are compression and indefinite information, in whose place comes the identity.
         """
-        source = DATA / self.file
+        source = self.source
         if source.suffix == ".g2o" and self.name != "cubicle":
             return source
         target = folder / f"{self.name}.g2o"
