@@ -24,10 +24,10 @@ TIGHT = 1e-3
 # the gap.
 _SHIFTS = (1e-8, TIGHT / 4)
 # How far below zero, as a share of the median weight of a rotation, the certificate's eigenvalues
-# may lie at a plausible minimum, and the most Newton steps that lead there from a start that was
-# near it. The study's global minima reach it at its highest noise; local minima near the chordal
-# start lie beyond 0.15, those found after a long way may come as near as 0.003 (docs/starts.md).
-_PLAUSIBLE = 0.05
+# may lie at a plausible minimum, and how many Newton steps may lead there from a start near it. At
+# .1 m and rad of noise the study's global minima lie within 0.001, at .35 beyond 0.1; local minima
+# near the chordal start lie beyond 0.02, those found after a long way may come as near as 0.003.
+_PLAUSIBLE = 0.01
 _NEAR = 30
 _POLISHING = 60
 # The rank to lift to: in 2D one column more leaves local minima that two do not; in 3D the blocks
@@ -146,23 +146,20 @@ class Relaxation:
         """Return how far any poses may lie below the cost of a point; inf if no bound is known."""
         if len(self._free) == 0:
             return 0.0
-        forcing, constant = self._system(point.unknowns)
-        x = np.ascontiguousarray(point.unknowns[self._free])
-        share = max(point.cost, 1e-12 * self._scale) / x[:, :, 0].size
-        for shift in _SHIFTS:
-            gap = _core.lifted_gap(self._matrix, forcing, constant, x, shift * share)
-            if np.isfinite(gap):
-                return gap
-        return float("inf")
+        d = self.graph.dimension
+        share = max(point.cost, 1e-12 * self._scale) / (len(self._free) * (d + 1))
+        gaps = (self._gap(point.unknowns, shift * share) for shift in _SHIFTS)
+        return next((gap for gap in gaps if np.isfinite(gap)), np.inf)
 
-    def plausible(self, point: Point) -> bool:
+    def _gap(self, x: Floats, shift: float) -> float:
+        forcing, constant = self._system(x)
+        free = np.ascontiguousarray(x[self._free])
+        return _core.lifted_gap(self._matrix, forcing, constant, free, shift)
+
+    def plausible(self, poses: Floats) -> bool:
         """Whether a minimum looks global, without a proof: its certificate fails by little."""
-        if len(self._free) == 0:
-            return True
-        forcing, constant = self._system(point.unknowns)
-        x = np.ascontiguousarray(point.unknowns[self._free])
-        shift = _PLAUSIBLE * self._scale
-        return bool(np.isfinite(_core.lifted_gap(self._matrix, forcing, constant, x, shift)))
+        x = self.unknowns(poses, self.graph.dimension)
+        return len(self._free) == 0 or np.isfinite(self._gap(x, _PLAUSIBLE * self._scale))
 
     def poses(self, x: Floats) -> Floats:
         """Return the poses nearest to unknowns of any rank, (n, 3) or (n, 7)."""
@@ -266,7 +263,7 @@ def solve(
     best = top = relaxed.polish(poses)
     bound = best.cost - relaxed.gap(best)
     known = best.cost - bound <= TIGHT * best.cost + relaxed.rounding
-    trusted = trust and best.steps <= _NEAR and relaxed.plausible(best)
+    trusted = trust and best.steps <= _NEAR and relaxed.plausible(relaxed.poses(best.unknowns))
     if lift and not known and not trusted and relaxed.can_lift():
         lifted = relaxed.lift(best.unknowns, np.random.default_rng(seed))
         top = relaxed.minimise(lifted, decrease=decrease, damping=30.0)

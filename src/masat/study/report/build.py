@@ -8,6 +8,7 @@ from masat.files import write_atomically
 from masat.study.report.cells import Cell, cells_of
 from masat.study.report.document import Block, Heading, Paragraph, Table, markdown, page
 from masat.study.report.figures import rate_figure, time_figure, world_figures
+from masat.study.report.minima import control_table, minima_table, total_table
 from masat.study.report.tables import (
     iterations_table,
     mcnemar_table,
@@ -18,6 +19,7 @@ from masat.study.report.tables import (
     time_table,
 )
 from masat.study.store import Store
+from masat.study.worlds import GROUND_TRUTH
 
 _COMPARED = "masat"
 
@@ -78,7 +80,31 @@ def build_report(store: Store, folder: Path) -> list[Path]:
                 ),
                 mcnemar_table(cells, others, _COMPARED),
             ]
+        blocks += [
+            Heading("Where they end"),
+            Paragraph(
+                "The share of all instances from which a start leads to the lowest chi2 that any "
+                "start of the instance reached, to 1e-6 of it."
+            ),
+            minima_table(cells, starts),
+        ]
+        if GROUND_TRUTH in starts:
+            blocks += [
+                Paragraph(
+                    "How many successes end above the chi2 that Gauss-Newton reaches from the "
+                    "truth, and by what share of it at most."
+                ),
+                control_table(cells, tuple(s for s in starts if s != GROUND_TRUTH), GROUND_TRUTH),
+            ]
         blocks += [Heading("Time"), time_table(cells, starts)]
+        if _COMPARED in starts and others:
+            blocks += [
+                Paragraph(
+                    f"Median total time, start and Gauss-Newton, over {_COMPARED}'s, on the "
+                    "instances where both succeed."
+                ),
+                total_table(cells, others, _COMPARED),
+            ]
         if _COMPARED in starts:
             blocks.append(time_figure(cells, _COMPARED, folder / "times.png"))
         figures = world_figures(cells, folder, design.max_iterations)

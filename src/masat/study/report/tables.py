@@ -20,6 +20,7 @@ def success_table(cells: list[Cell], starts: tuple[str, ...], *, relative: bool)
     A star marks a paper's rate that lies outside our interval.
     """
     paper = paper_table(1)
+    known = _published(starts)
     rows = []
     for cell in cells:
         row = [cell.world, cell.level]
@@ -31,11 +32,20 @@ def success_table(cells: list[Cell], starts: tuple[str, ...], *, relative: bool)
             if start in published:
                 theirs = float(published[start])
                 row.append(published[start] + ("" if low <= theirs <= high else " *"))
-            else:
+            elif start in known:
                 row.append("-")
         rows.append(tuple(row))
-    columns = ("world", "noise", *(c for s in starts for c in (s, "paper")))
+    columns = ("world", "noise", *_with_papers(starts, known))
     return Table(f"table1_{'relative' if relative else 'absolute'}", columns, tuple(rows))
+
+
+def _published(starts: tuple[str, ...]) -> set[str]:
+    """Return the starts of which the paper tells rates."""
+    return {s for s in starts if any(s in row for row in paper_table(1).values())}
+
+
+def _with_papers(starts: tuple[str, ...], known: set[str]) -> list[str]:
+    return [c for s in starts for c in ((s, "paper") if s in known else (s,))]
 
 
 def paper_table_test(cells: list[Cell], start: str) -> Table:
@@ -87,6 +97,7 @@ def outside(cells: list[Cell], start: str) -> list[str]:
 def iterations_table(cells: list[Cell], starts: tuple[str, ...]) -> Table:
     """Return Table 2: mean iterations and mean reduced chi2 of the successes, and the paper's."""
     paper = paper_table(2)
+    known = _published(starts)
     rows = []
     for cell in cells:
         row = [cell.world, cell.level]
@@ -98,10 +109,11 @@ def iterations_table(cells: list[Cell], starts: tuple[str, ...]) -> Table:
                 row.append(f"{iterations:.2f} / {chi2:.3f}")
             else:
                 row.append("-")
-            theirs = [published.get(f"{start}_{what}", "") for what in ("iterations", "chi2")]
-            row.append(" / ".join(theirs) if all(theirs) else "-")
+            if start in known:
+                theirs = [published.get(f"{start}_{what}", "") for what in ("iterations", "chi2")]
+                row.append(" / ".join(theirs) if all(theirs) else "-")
         rows.append(tuple(row))
-    columns = ("world", "noise", *(c for s in starts for c in (s, "paper")))
+    columns = ("world", "noise", *_with_papers(starts, known))
     return Table("table2", columns, tuple(rows))
 
 
