@@ -9,19 +9,16 @@ from itertools import pairwise
 import masat
 from benchmarks.paths import Clock, Path, Run
 from masat.initializers import INITIALIZERS
-from masat.optimizers import OPTIMIZERS
 
-_SHORT = {"gauss_newton": "GN", "levenberg_marquardt": "LM"}
+_OPTIMIZERS = {"GN": "gauss_newton", "LM": "levenberg_marquardt"}
 
 
 def paths(file: pathlib.Path, threads: int) -> dict[str, Path]:
     """Return each start with each optimiser."""
     return {
-        f"{start} + {_SHORT.get(optimizer, optimizer)}": partial(
-            _run, file, start, optimizer, threads
-        )
+        f"{start} + {name}": partial(_run, file, start, optimizer, threads)
         for start in INITIALIZERS
-        for optimizer in OPTIMIZERS
+        for name, optimizer in _OPTIMIZERS.items()
     }
 
 
