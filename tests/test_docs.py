@@ -16,7 +16,7 @@ def test_the_examples_of_the_readme_run_in_order(tmp_path, monkeypatch, capsys):
     masat.write(perturb(manhattan(300, 500, extent=10), (0.1, 0.1, 0.1)), "graph.g2o")
     names = {}
     blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    assert len(blocks) == 2
+    assert len(blocks) == 3
     for block in blocks:
         exec(block, names)
     assert Path("map.g2o").exists()

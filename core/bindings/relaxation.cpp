@@ -41,19 +41,18 @@ void with_lifted(const GraphMatrix& matrix, const Stack& forcing, double constan
 nb::tuple minimise_lifted(const GraphMatrix& matrix, const Stack& forcing, double constant,
                           const Stack& start, double decrease, double damping, int steps) {
   std::vector<double> x(start.data(), start.data() + start.size());
-  LiftedOutcome outcome;
+  int taken = 0;
   with_lifted(matrix, forcing, constant, start, [&](auto problem) {
     const nb::gil_scoped_release release;
-    outcome = problem.minimise(x, {decrease, damping, steps});
+    taken = problem.minimise(x, {decrease, damping, steps});
   });
   return nb::make_tuple(as_array(std::move(x), {start.shape(0), start.shape(1), start.shape(2)}),
-                        outcome.cost, outcome.steps, outcome.converged);
+                        taken);
 }
 
-double lifted_gap(const GraphMatrix& matrix, const Stack& forcing, double constant, const Stack& x,
-                  double shift) {
+double lifted_gap(const GraphMatrix& matrix, const Stack& forcing, const Stack& x, double shift) {
   double gap = 0;
-  with_lifted(matrix, forcing, constant, x, [&](auto problem) {
+  with_lifted(matrix, forcing, 0.0, x, [&](auto problem) {
     const nb::gil_scoped_release release;
     gap = problem.gap({x.data(), x.data() + x.size()}, shift);
   });
@@ -65,7 +64,7 @@ double lifted_gap(const GraphMatrix& matrix, const Stack& forcing, double consta
 void bind_relaxation(nb::module_& m) {
   m.def("minimise_lifted", &minimise_lifted, "matrix"_a, "forcing"_a, "constant"_a, "start"_a,
         "decrease"_a, "damping"_a, "steps"_a);
-  m.def("lifted_gap", &lifted_gap, "matrix"_a, "forcing"_a, "constant"_a, "x"_a, "shift"_a);
+  m.def("lifted_gap", &lifted_gap, "matrix"_a, "forcing"_a, "x"_a, "shift"_a);
 }
 
 }  // namespace masat

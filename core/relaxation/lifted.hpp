@@ -25,12 +25,6 @@ struct LiftedLimits {
   int steps;
 };
 
-struct LiftedOutcome {
-  double cost = 0;
-  int steps = 0;
-  bool converged = false;
-};
-
 template <int D, int P>
 class Lifted {
  public:
@@ -47,8 +41,9 @@ class Lifted {
         lambda_(nodes_),
         residual_(nodes_ * kStep) {}
 
-  // Newton's method, damped as by Levenberg and Marquardt, from the orthonormalised x on.
-  LiftedOutcome minimise(std::vector<double>& x, const LiftedLimits& limits) {
+  // Newton's method, damped as by Levenberg and Marquardt, from the orthonormalised x on. Returns
+  // the steps tried.
+  int minimise(std::vector<double>& x, const LiftedLimits& limits) {
     GraphMatrix hessian(matrix_.elimination(), kDof);
     std::vector<typename Frames::Basis> basis(nodes_);
     std::vector<double> gradient(nodes_ * kDof), step(gradient.size()), damping(gradient.size());
@@ -57,15 +52,16 @@ class Lifted {
       Eigen::Map<Frame> own(&x[std::int64_t{k} * kStep]);
       own = Frames::orthonormal(own);
     }
-    LiftedOutcome out;
-    GraphMatrix translations = laplacian();
-    out.cost = settle(translations, x, residual_);
+    const GraphMatrix translations = laplacian();
+    double lowest = settle(translations, x, residual_);
     // What the rounding of M x alone may make of the cost.
     const double rounding = 1e-15 * std::abs(constant_);
     double strength = limits.damping;
     double weak = 0;  // the greatest strength of late that was not enough
     bool moved_on = true;
-    for (; out.steps < limits.steps; ++out.steps) {
+    int steps = 0;
+    while (steps < limits.steps) {
+      ++steps;
       if (moved_on) linearize(x, basis, gradient, hessian);
       moved_on = false;
       for (std::int32_t k = 0; k < nodes_; ++k) {
@@ -86,19 +82,15 @@ class Lifted {
       predicted += damped;
       retract(x, basis, step, moved);
       const double cost = settle(translations, moved, moved_residual);
-      const double gain = predicted > rounding ? (out.cost - cost) / predicted : 1.0;
+      const double gain = predicted > rounding ? (lowest - cost) / predicted : 1.0;
       if (gain > kAccepted) {
         x.swap(moved);
         residual_.swap(moved_residual);
-        out.cost = cost;
+        lowest = cost;
         moved_on = true;
         // A step that damping made short proves nothing, unless it was to gain nothing at all.
         const double enough = limits.decrease * cost + rounding;
-        if (predicted <= (damped < kUndamped * predicted ? enough : kNothing * enough)) {
-          ++out.steps;
-          out.converged = true;
-          break;
-        }
+        if (predicted <= (damped < kUndamped * predicted ? enough : kNothing * enough)) break;
         if (gain > kGood) strength = std::max(strength / kDecay, std::sqrt(strength * weak));
         weak *= kForgotten;
       } else {
@@ -106,7 +98,7 @@ class Lifted {
         strength *= kGrowth;
       }
     }
-    return out;
+    return steps;
   }
 
   // How far any feasible point may lie below the cost of x: infinite unless S = M - Lambda + shift,

@@ -78,9 +78,19 @@ class Relaxation:
         self._scale = float(np.median(self.weights.rotation)) if len(graph.edges) else 1.0
 
     @property
-    def rounding(self) -> float:
-        """The cost that rounding errors alone may make."""
-        return 1e-15 * float(self.weights.rotation.sum())
+    def nothing(self) -> float:
+        """A cost at which the rotations fit to a millionth of a radian: none, to all purposes."""
+        return 1e-12 * float(self.weights.rotation.sum())
+
+    def cost(self, x: Floats) -> float:
+        """Return the cost of unknowns, summed over the edges."""
+        d, z = self.graph.dimension, self.graph.measurements
+        i, j = self.graph.edge_indices.T
+        y, t = x[:, :d], x[:, d]
+        turned = _core.rotation_matrices(z).transpose(0, 2, 1) @ y[i]
+        gone = t[i] + (z[:, None, :d] @ y[i])[:, 0]
+        turns = self.weights.rotation @ np.square(y[j] - turned).sum(axis=(1, 2))
+        return float(turns + self.weights.translation @ np.square(t[j] - gone).sum(axis=1))
 
     def unknowns(self, poses: Floats, rank: int) -> Floats:
         """Return the unknowns of poses, (n, d + 1, rank)."""
@@ -94,8 +104,8 @@ class Relaxation:
         """Go down from x to where a Newton step promises less than a share of the cost."""
         forcing, constant = self._system(x)
         if len(self._free) == 0:
-            return Point(x, constant)
-        solved, cost, taken, _ = _core.minimise_lifted(
+            return Point(x, self.cost(x))
+        solved, taken = _core.minimise_lifted(
             self._matrix,
             forcing,
             constant,
@@ -106,15 +116,7 @@ class Relaxation:
         )
         out = x.copy()
         out[self._free] = solved
-        return Point(out, cost, taken)
-
-    def point(self, poses: Floats) -> Point:
-        """Return poses as they are, at their own rank, and their cost."""
-        x = self.unknowns(poses, self.graph.dimension)
-        forcing, constant = self._system(x)
-        free = np.ascontiguousarray(x[self._free])
-        pulled = self._matrix.multiply(free)
-        return Point(x, float((free * (pulled - 2 * forcing)).sum()) + constant)
+        return Point(out, self.cost(out), taken)
 
     def polish(self, poses: Floats) -> Point:
         """Go down from poses, at their own rank."""
@@ -147,14 +149,14 @@ class Relaxation:
         if len(self._free) == 0:
             return 0.0
         d = self.graph.dimension
-        share = max(point.cost, 1e-12 * self._scale) / (len(self._free) * (d + 1))
+        share = max(point.cost, self.nothing) / (len(self._free) * (d + 1))
         gaps = (self._gap(point.unknowns, shift * share) for shift in _SHIFTS)
         return next((gap for gap in gaps if np.isfinite(gap)), np.inf)
 
     def _gap(self, x: Floats, shift: float) -> float:
-        forcing, constant = self._system(x)
+        forcing, _ = self._system(x)
         free = np.ascontiguousarray(x[self._free])
-        return _core.lifted_gap(self._matrix, forcing, constant, free, shift)
+        return _core.lifted_gap(self._matrix, forcing, free, shift)
 
     def plausible(self, poses: Floats) -> bool:
         """Whether a minimum looks global, without a proof: its certificate fails by little."""
@@ -262,7 +264,7 @@ def solve(
     relaxed = Relaxation(graph)
     best = top = relaxed.polish(poses)
     bound = best.cost - relaxed.gap(best)
-    known = best.cost - bound <= TIGHT * best.cost + relaxed.rounding
+    known = best.cost - bound <= max(TIGHT * best.cost, relaxed.nothing)
     trusted = trust and best.steps <= _NEAR and relaxed.plausible(relaxed.poses(best.unknowns))
     if lift and not known and not trusted and relaxed.can_lift():
         lifted = relaxed.lift(best.unknowns, np.random.default_rng(seed))
@@ -272,7 +274,6 @@ def solve(
         if rounded.cost < best.cost:
             best = rounded
             bound = max(bound, best.cost - relaxed.gap(best))
-    # Rounding errors move both.
-    if best.cost - bound <= relaxed.rounding:
+    if best.cost - bound <= relaxed.nothing:
         bound = best.cost
     return Solution(relaxed.poses(best.unknowns), best.cost, bound, top.rank)
