@@ -3,7 +3,7 @@ import pytest
 from random_graphs import random_graph
 
 import masat
-from masat import PoseGraph, _core, lie, quadratic, relaxation
+from masat import PoseGraph, _core, lie, relaxation
 from masat.optimizers.equations import edge_chi2
 from masat.relaxation import Relaxation
 from masat.worlds import manhattan, perturb, sphere
@@ -76,21 +76,23 @@ def test_the_certificate_is_that_of_the_dense_matrix(dimension):
     relaxed = Relaxation(graph)
     point = relaxed.polish(masat.initialize(graph, "chordal").poses)
     x, b = point.unknowns, d + 1
-    form = quadratic.pose_form(graph, relaxed.weights)
     dense = np.zeros((n * b, n * b))
+    turns = _core.rotation_matrices(graph.measurements)
     for k, (i, j) in enumerate(graph.edge_indices):
-        rows, columns = slice(i * b, i * b + b), slice(j * b, j * b + b)
-        dense[rows, rows] += form.first[k]
-        dense[columns, columns] += form.second[k]
-        dense[rows, columns] += form.joint[k]
-        dense[columns, rows] += form.joint[k].T
+        # X_j - T' X_i, its rows weighted.
+        residual = np.zeros((b, n * b))
+        residual[:, j * b : j * b + b] = np.eye(b)
+        residual[:d, i * b : i * b + d] = -turns[k].T
+        residual[d, i * b : i * b + b] = -np.append(graph.measurements[k, :d], 1)
+        weight = [relaxed.weights.rotation[k]] * d + [relaxed.weights.translation[k]]
+        dense += residual.T @ np.diag(weight) @ residual
     pulled = (dense @ x.reshape(n * b, -1)).reshape(x.shape)
     for k in range(n):
         multiplier = pulled[k, :d] @ x[k, :d].T
         dense[k * b : k * b + d, k * b : k * b + d] -= (multiplier + multiplier.T) / 2
     free = np.arange(b, n * b)  # node 0 holds still
     s = dense[np.ix_(free, free)]
-    forcing, _ = relaxed._system(x)
+    forcing = relaxed._assemble(x)
     onto = np.tile([1.0] * d + [0.0], n - 1)
     for shift in (1e-6, 1e-3, 0.1, 1.0, 10.0):
         positive = np.linalg.eigvalsh(s + shift * np.diag(onto)).min() > 0

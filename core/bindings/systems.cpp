@@ -14,6 +14,7 @@
 #include "bindings/bindings.hpp"
 #include "graph/topology.hpp"
 #include "initializers/translations.hpp"
+#include "relaxation/pose_form.hpp"
 #include "sparse/elimination.hpp"
 #include "sparse/graph_matrix.hpp"
 
@@ -65,6 +66,15 @@ std::unique_ptr<GraphMatrix> make_matrix(std::shared_ptr<Elimination> eliminatio
   return std::make_unique<GraphMatrix>(std::move(elimination), block_size, threads);
 }
 
+void check_values(const GraphMatrix& matrix, const Topology& graph, const Stack& values) {
+  require(graph.nodes() == matrix.elimination()->nodes() &&
+              static_cast<std::int64_t>(graph.edges().size()) == matrix.elimination()->edges(),
+          "the elimination must be of the same graph");
+  require(values.shape(0) == static_cast<std::size_t>(graph.nodes()) &&
+              values.shape(1) == static_cast<std::size_t>(matrix.block_size()),
+          "values must be (n, d, k)");
+}
+
 Array<double> assembled(GraphMatrix& matrix, const Topology& graph, const Stack& first,
                         const Stack& joint, const Stack& second, const Stack& values) {
   const std::size_t d = matrix.block_size(), columns = values.shape(2);
@@ -73,16 +83,36 @@ Array<double> assembled(GraphMatrix& matrix, const Topology& graph, const Stack&
         blocks->shape(0) == graph.edges().size() && blocks->shape(1) == d && blocks->shape(2) == d,
         "the blocks of the edges must be (m, d, d)");
   }
-  require(graph.nodes() == matrix.elimination()->nodes() &&
-              static_cast<std::int64_t>(graph.edges().size()) == matrix.elimination()->edges(),
-          "the elimination must be of the same graph");
-  require(values.shape(0) == static_cast<std::size_t>(graph.nodes()) && values.shape(1) == d,
-          "values must be (n, d, k)");
+  check_values(matrix, graph, values);
   std::vector<double> forcing(matrix.rows() * columns);
   {
     nb::gil_scoped_release release;
-    matrix.assemble(graph, first.data(), joint.data(), second.data(), values.data(),
-                    static_cast<int>(columns), forcing.data());
+    matrix.set_zero();
+    for (std::size_t k = 0; k < graph.edges().size(); ++k) {
+      const std::size_t at = k * d * d;
+      matrix.add_edge(graph, static_cast<std::int64_t>(k), first.data() + at, joint.data() + at,
+                      second.data() + at, values.data(), static_cast<int>(columns), forcing.data());
+    }
+  }
+  return as_array(std::move(forcing), {matrix.rows() / d, d, columns});
+}
+
+Array<double> assembled_poses(GraphMatrix& matrix, const Topology& graph,
+                              const Table<double>& measurements, const Vector<double>& rotation,
+                              const Vector<double>& translation, const Stack& values) {
+  const std::size_t m = graph.edges().size(), d = matrix.block_size(), columns = values.shape(2);
+  require(measurements.shape(0) == m && rotation.shape(0) == m && translation.shape(0) == m,
+          "one row an edge");
+  check_values(matrix, graph, values);
+  std::vector<double> forcing(matrix.rows() * columns);
+  {
+    nb::gil_scoped_release release;
+    with_group(measurements.shape(1), [&]<class Group>(Group*) {
+      require(d == Group::kDimension + 1, "blocks must have d + 1 rows");
+      assemble_pose_form<Group>(matrix, graph, measurements.data(), rotation.data(),
+                                translation.data(), values.data(), static_cast<int>(columns),
+                                forcing.data());
+    });
   }
   return as_array(std::move(forcing), {matrix.rows() / d, d, columns});
 }
@@ -132,6 +162,8 @@ void bind_systems(nb::module_& m) {
   nb::class_<GraphMatrix>(m, "GraphMatrix")
       .def(nb::new_(&make_matrix), "elimination"_a, "block_size"_a, "threads"_a = 1)
       .def("assemble", &assembled, "topology"_a, "first"_a, "joint"_a, "second"_a, "values"_a)
+      .def("assemble_poses", &assembled_poses, "topology"_a, "measurements"_a, "rotation"_a,
+           "translation"_a, "values"_a)
       .def(
           "factorize",
           [](GraphMatrix& matrix, const Vector<double>& damping) {

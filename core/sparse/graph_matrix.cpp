@@ -43,38 +43,34 @@ GraphMatrix::GraphMatrix(std::shared_ptr<const Elimination> elimination, int blo
       threads_(threads),
       values_(elimination_->pattern().row.size() * block_size * block_size) {}
 
-void GraphMatrix::assemble(const Topology& graph, const double* first, const double* joint,
-                           const double* second, const double* values, int columns,
-                           double* forcing) {
-  set_zero();
-  const int size = d_ * d_;
+void GraphMatrix::add_edge(const Topology& graph, std::int64_t edge, const double* first,
+                           const double* joint, const double* second, const double* values,
+                           int columns, double* forcing) {
   const auto add = [&](double* block, const double* from, bool transposed) {
     for (int j = 0; j < d_; ++j) {
       for (int i = 0; i < d_; ++i) block[j * d_ + i] += from[transposed ? j * d_ + i : i * d_ + j];
     }
   };
-  const auto force = [&](std::int32_t place, std::int32_t held, const double* h, bool transposed) {
+  const auto force = [&](std::int32_t place, std::int32_t held, bool transposed) {
     double* out = forcing + std::int64_t{place} * d_ * columns;
     for (int i = 0; i < d_; ++i, out += columns) {
       const double* x = values + std::int64_t{held} * d_ * columns;
       for (int j = 0; j < d_; ++j, x += columns) {
-        const double factor = transposed ? h[j * d_ + i] : h[i * d_ + j];
+        const double factor = transposed ? joint[j * d_ + i] : joint[i * d_ + j];
         for (int c = 0; c < columns; ++c) out[c] -= factor * x[c];
       }
     }
   };
-  for (std::int64_t k = 0; k < elimination_->edges(); ++k) {
-    const auto [from, to] = graph.edges()[k];
-    const std::int32_t a = elimination_->place(from), b = elimination_->place(to);
-    if (a >= 0) add(node_block(a), first + k * size, false);
-    if (b >= 0) add(node_block(b), second + k * size, false);
-    if (a >= 0 && b >= 0) {
-      add(joint_block(k), joint + k * size, a < b);
-    } else if (a >= 0) {
-      force(a, to, joint + k * size, false);
-    } else if (b >= 0) {
-      force(b, from, joint + k * size, true);
-    }
+  const auto [from, to] = graph.edges()[edge];
+  const std::int32_t a = elimination_->place(from), b = elimination_->place(to);
+  if (a >= 0) add(node_block(a), first, false);
+  if (b >= 0) add(node_block(b), second, false);
+  if (a >= 0 && b >= 0) {
+    add(joint_block(edge), joint, a < b);
+  } else if (a >= 0) {
+    force(a, to, false);
+  } else if (b >= 0) {
+    force(b, from, true);
   }
 }
 

@@ -29,12 +29,11 @@ class GraphMatrix {
   std::int64_t rows() const { return std::int64_t{d_} * pattern().columns(); }
   const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
 
-  // Sets H to the sum over the edges of the forms
-  //     x_from' first x_from + 2 x_from' joint x_to + x_to' second x_to,
-  // each edge's blocks row-major, and adds to `forcing` what the values of the held nodes make of
-  // the right-hand side: -H_fh x_h. `values` has d rows for every node, `forcing` for the free
-  // ones.
-  void assemble(const Topology& graph, const double* first, const double* joint,
+  // Adds to H the form
+  //     x_from' first x_from + 2 x_from' joint x_to + x_to' second x_to
+  // of an edge, its blocks row-major, and to `forcing` what the value of a held node makes of the
+  // right-hand side: -H_fh x_h. `values` has d rows for every node, `forcing` for the free ones.
+  void add_edge(const Topology& graph, std::int64_t edge, const double* first, const double* joint,
                 const double* second, const double* values, int columns, double* forcing);
 
   void set_zero() { std::fill(values_.begin(), values_.end(), 0.0); }

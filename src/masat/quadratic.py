@@ -66,27 +66,6 @@ def rotation_form(graph: PoseGraph, weight: Floats) -> Form:
     return Form(same, -weight[:, None, None] * _core.rotation_matrices(graph.measurements), same)
 
 
-def pose_form(graph: PoseGraph, weights: Weights) -> Form:
-    """Return the form of rotation |R_j - R_i R|^2 + translation |t_j - t_i - R_i t|^2.
-
-    The unknowns are X_i = [R_i t_i]', (d + 1, d).
-    """
-    d, m = graph.dimension, len(graph.edges)
-    kappa, tau = (w[:, None, None] for w in weights)
-    t = np.empty((m, d + 1, 1))
-    t[:, :d, 0] = graph.measurements[:, :d]
-    t[:, d, 0] = 1
-    first = tau * t * t.transpose(0, 2, 1)
-    first[:, :d, :d] += kappa * np.eye(d)
-    joint = np.zeros((m, d + 1, d + 1))
-    joint[:, :d, :d] = -kappa * _core.rotation_matrices(graph.measurements)
-    joint[:, :, d:] = -tau * t
-    second = np.zeros((m, d + 1, d + 1))
-    second[:, range(d), range(d)] = kappa[:, 0]
-    second[:, d, d] = tau[:, 0, 0]
-    return Form(first, joint, second)
-
-
 class Minimiser:
     """The minima of a form that pulls shift: factorised once."""
 

@@ -71,7 +71,6 @@ class Relaxation:
     def __init__(self, graph: PoseGraph, weights: quadratic.Weights | None = None) -> None:
         self.graph = graph
         self.weights = weights or quadratic.isotropic_weights(graph)
-        self._form = quadratic.pose_form(graph, self.weights)
         self._free = graph.elimination.free_nodes()
         self._held = graph.index(graph.anchors)
         self._matrix = _core.GraphMatrix(graph.elimination, graph.dimension + 1)
@@ -102,13 +101,14 @@ class Relaxation:
 
     def minimise(self, x: Floats, *, decrease: float, damping: float, steps: int = 100) -> Point:
         """Go down from x to where a Newton step promises less than a share of the cost."""
-        forcing, constant = self._system(x)
         if len(self._free) == 0:
             return Point(x, self.cost(x))
+        held_alone = x.copy()
+        held_alone[self._free] = 0
         solved, taken = _core.minimise_lifted(
             self._matrix,
-            forcing,
-            constant,
+            self._assemble(x),
+            self.cost(held_alone),
             np.ascontiguousarray(x[self._free]),
             decrease,
             damping * self._scale,
@@ -136,7 +136,7 @@ class Relaxation:
         rank = _LIFTED_RANK[d]
         out = np.zeros((*x.shape[:2], rank))
         out[:, :, :old] = x
-        self._system(out)
+        self._assemble(out)
         damping = np.tile([5e-4 * self._scale] * d + [0.0], len(self._free))
         self._matrix.factorize(damping)
         noise = rng.normal(size=(len(self._free), d + 1, rank - old))
@@ -154,7 +154,7 @@ class Relaxation:
         return next((gap for gap in gaps if np.isfinite(gap)), np.inf)
 
     def _gap(self, x: Floats, shift: float) -> float:
-        forcing, _ = self._system(x)
+        forcing = self._assemble(x)
         free = np.ascontiguousarray(x[self._free])
         return _core.lifted_gap(self._matrix, forcing, free, shift)
 
@@ -185,19 +185,12 @@ class Relaxation:
         start[self._held, :d] = x[self._held, d, :d]
         return quadratic.nearest_rotations(self.graph, start, np.ascontiguousarray(flat[:, :d]))
 
-    def _system(self, x: Floats) -> tuple[Floats, float]:
-        """Assemble the matrix; return the forcing of the held nodes and their constant cost."""
-        form, i, j = self._form, *self.graph.edge_indices.T
-        forcing = self._matrix.assemble(self.graph.topology, *form, x)
-        held = np.zeros(len(x), np.bool_)
-        held[self._held] = True
-        constant = 0.0
-        for ends, blocks in ((i, form.first), (j, form.second)):
-            k = np.flatnonzero(held[ends])
-            constant += np.einsum("kip,kij,kjp->", x[ends[k]], blocks[k], x[ends[k]])
-        k = np.flatnonzero(held[i] & held[j])
-        constant += 2 * np.einsum("kip,kij,kjp->", x[i[k]], form.joint[k], x[j[k]])
-        return forcing, float(constant)
+    def _assemble(self, x: Floats) -> Floats:
+        """Set the matrix; return what the held nodes make of the right-hand side."""
+        graph, weights = self.graph, self.weights
+        return self._matrix.assemble_poses(
+            graph.topology, graph.measurements, weights.rotation, weights.translation, x
+        )
 
 
 @dataclass(frozen=True)
