@@ -60,6 +60,12 @@ def test_an_elimination_refuses_what_does_not_fit():
         elimination(np.zeros(2, bool), [0, 2])
 
 
+def test_nothing_is_solved_before_it_is_factorised():
+    matrix = _core.GraphMatrix(elimination(np.array([True, False])), 2)
+    with pytest.raises(ValueError, match="factorise before solving"):
+        matrix.solve(np.zeros((1, 2, 1)))
+
+
 def test_equations_refuse_what_does_not_fit():
     a = FLOATS[2]
     held = np.array([True, False])

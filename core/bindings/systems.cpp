@@ -184,6 +184,7 @@ void bind_systems(nb::module_& m) {
       .def(
           "solve",
           [](const GraphMatrix& matrix, const Stack& rhs) {
+            require(matrix.factorized(), "factorise before solving");
             return changed(matrix, rhs, [&](std::vector<double>& out, int columns) {
               matrix.solve(out, columns);
             });

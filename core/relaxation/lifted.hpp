@@ -11,7 +11,6 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
-#include <span>
 #include <vector>
 
 #include "relaxation/stiefel.hpp"
@@ -82,7 +81,9 @@ class Lifted {
       predicted += damped;
       retract(x, basis, step, moved);
       const double cost = settle(translations, moved, moved_residual);
-      const double gain = predicted > rounding ? (lowest - cost) / predicted : 1.0;
+      // What is no number must not pass.
+      const bool finite = std::isfinite(cost) && std::isfinite(predicted);
+      const double gain = !finite ? -1.0 : predicted > rounding ? (lowest - cost) / predicted : 1.0;
       if (gain > kAccepted) {
         x.swap(moved);
         residual_.swap(moved_residual);

@@ -1,6 +1,7 @@
 // The chordal cost of a pose graph as a quadratic form.
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 
 #include "graph/topology.hpp"

@@ -52,6 +52,7 @@ class GraphMatrix {
     if (!cholesky_) cholesky_ = std::make_unique<BlockCholesky>(*elimination_, d_, threads_);
     return cholesky_->factorize(values_, damping);
   }
+  bool factorized() const { return cholesky_ != nullptr; }
   // Overwrites right-hand sides with the solutions of what was factorised.
   void solve(std::span<double> rhs, int columns = 1) const { cholesky_->solve(rhs, columns); }
   // Blocks of the inverse of what was factorised, by places, each row-major.

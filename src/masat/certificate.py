@@ -49,7 +49,7 @@ class Certificate:
     @property
     def gap(self) -> float:
         """How far, as a share of the cost, the bound lies below it."""
-        return (self.cost - self.bound) / self.cost if self.cost > 0 else 0.0
+        return (self.cost - self.bound) / self.cost if self.cost > self.bound else 0.0
 
 
 def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int = 1) -> Certificate:
@@ -88,14 +88,15 @@ def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int 
     solution = relaxation.solve(own.graph, own.graph.poses, lift=lift, seed=seed)
     other = optimize(graph.with_poses(solution.poses), threads=threads)
     best = min(own, other, key=lambda result: result.chi2)
-    lower = own.initial_chi2 - best.chi2 > _SAME * best.chi2 + 1e-12
-    certified = solution.certified and not lower
+    same = _SAME * best.chi2 + solution.nothing
+    lower = own.initial_chi2 - best.chi2 > same
+    certified = solution.certified and not lower and other.chi2 - best.chi2 <= same
     if lower:
         found = "the same minimum" if best is own else "another minimum"
         message = (
             f"not optimal: {found} has chi2 {best.chi2:.8g}, lower than {own.initial_chi2:.8g}"
         )
-    elif not solution.certified:
+    elif not certified:
         message = "not decided: no lower minimum was found, and no proof that there is none"
     elif _exact(graph):
         message = "globally optimal: no poses have a chi2 that is lower by more than the gap"

@@ -47,16 +47,32 @@ def isotropic_weights(graph: PoseGraph) -> Weights:
 
 
 def _trace_of_inverse(a: Floats) -> Floats:
-    """Return the traces of the inverses of positive definite matrices, (m, 2, 2) or (m, 3, 3)."""
-    minor = a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0]
-    if a.shape[1] == 2:
-        return np.asarray((a[:, 0, 0] + a[:, 1, 1]) / minor)
-    right = a[:, 1, 1] * a[:, 2, 2] - a[:, 1, 2] * a[:, 2, 1]
-    outer = a[:, 0, 0] * a[:, 2, 2] - a[:, 0, 2] * a[:, 2, 0]
-    below = a[:, 1, 0] * a[:, 2, 2] - a[:, 1, 2] * a[:, 2, 0]
-    last = a[:, 1, 0] * a[:, 2, 1] - a[:, 1, 1] * a[:, 2, 0]
-    determinant = a[:, 0, 0] * right - a[:, 0, 1] * below + a[:, 0, 2] * last
-    return np.asarray((minor + right + outer) / determinant)
+    """Return the traces of the inverses of positive definite matrices, (m, 2, 2) or (m, 3, 3).
+
+    By the Cholesky factor L: the sum of the squares of its inverse. Positive, however badly
+    conditioned.
+    """
+    d = a.shape[1]
+    scale = np.einsum("kii->k", a)
+    a = a / scale[:, None, None]
+
+    def root(pivot: Floats, of: Floats) -> Floats:
+        return np.asarray(np.sqrt(np.maximum(pivot, np.finfo(np.float64).eps * of)))
+
+    l00 = root(a[:, 0, 0], a[:, 0, 0])
+    l10 = a[:, 1, 0] / l00
+    l11 = root(a[:, 1, 1] - l10**2, a[:, 1, 1])
+    i00, i11 = 1 / l00, 1 / l11
+    i10 = -l10 * i00 * i11
+    total = i00**2 + i10**2 + i11**2
+    if d == 3:
+        l20 = a[:, 2, 0] / l00
+        l21 = (a[:, 2, 1] - l20 * l10) / l11
+        i22 = 1 / root(a[:, 2, 2] - l20**2 - l21**2, a[:, 2, 2])
+        i21 = -l21 * i11 * i22
+        i20 = -(l20 * i00 + l21 * i10) * i22
+        total = total + i20**2 + i21**2 + i22**2
+    return np.asarray(total / scale)
 
 
 def rotation_form(graph: PoseGraph, weight: Floats) -> Form:

@@ -16,6 +16,7 @@ import numpy as np
 
 from masat import _core, quadratic
 from masat.arrays import Floats
+from masat.errors import InitializationError
 from masat.graph import PoseGraph
 
 # A gap below this share of the cost counts as none.
@@ -68,9 +69,9 @@ class Relaxation:
     low-rank method for optimization over semidefinite matrices, 2015.
     """
 
-    def __init__(self, graph: PoseGraph, weights: quadratic.Weights | None = None) -> None:
+    def __init__(self, graph: PoseGraph) -> None:
         self.graph = graph
-        self.weights = weights or quadratic.isotropic_weights(graph)
+        self.weights = quadratic.isotropic_weights(graph)
         self._free = graph.elimination.free_nodes()
         self._held = graph.index(graph.anchors)
         self._matrix = _core.GraphMatrix(graph.elimination, graph.dimension + 1)
@@ -78,8 +79,8 @@ class Relaxation:
 
     @property
     def nothing(self) -> float:
-        """A cost at which the rotations fit to a millionth of a radian: none, to all purposes."""
-        return 1e-12 * float(self.weights.rotation.sum())
+        """A cost at which typical edges fit to a millionth of a radian: none, to all purposes."""
+        return 1e-12 * self._scale * len(self.graph.edges)
 
     def cost(self, x: Floats) -> float:
         """Return the cost of unknowns, summed over the edges."""
@@ -138,7 +139,11 @@ class Relaxation:
         out[:, :, :old] = x
         self._assemble(out)
         damping = np.tile([5e-4 * self._scale] * d + [0.0], len(self._free))
-        self._matrix.factorize(damping)
+        broken = self._matrix.factorize(damping)
+        if broken >= 0:
+            raise InitializationError(
+                f"the edges around node {self.graph.ids[self._free[broken]]} do not determine it"
+            )
         noise = rng.normal(size=(len(self._free), d + 1, rank - old))
         smooth = self._matrix.solve(noise)
         out[self._free, :, old:] = smooth * (_NOISE / np.sqrt(np.square(smooth[:, :d]).mean()))
@@ -150,18 +155,18 @@ class Relaxation:
             return 0.0
         d = self.graph.dimension
         share = max(point.cost, self.nothing) / (len(self._free) * (d + 1))
-        gaps = (self._gap(point.unknowns, shift * share) for shift in _SHIFTS)
+        forcing = self._assemble(point.unknowns)
+        gaps = (self._gap(point.unknowns, forcing, shift * share) for shift in _SHIFTS)
         return next((gap for gap in gaps if np.isfinite(gap)), np.inf)
 
-    def _gap(self, x: Floats, shift: float) -> float:
-        forcing = self._assemble(x)
-        free = np.ascontiguousarray(x[self._free])
-        return _core.lifted_gap(self._matrix, forcing, free, shift)
+    def _gap(self, x: Floats, forcing: Floats, shift: float) -> float:
+        return _core.lifted_gap(self._matrix, forcing, np.ascontiguousarray(x[self._free]), shift)
 
     def plausible(self, poses: Floats) -> bool:
         """Whether a minimum looks global, without a proof: its certificate fails by little."""
         x = self.unknowns(poses, self.graph.dimension)
-        return len(self._free) == 0 or np.isfinite(self._gap(x, _PLAUSIBLE * self._scale))
+        shift = _PLAUSIBLE * self._scale
+        return len(self._free) == 0 or np.isfinite(self._gap(x, self._assemble(x), shift))
 
     def poses(self, x: Floats) -> Floats:
         """Return the poses nearest to unknowns of any rank, (n, 3) or (n, 7)."""
@@ -203,20 +208,23 @@ class Solution:
     cost : float
         Their chordal cost.
     bound : float
-        No poses have a lower one; -inf if no bound was found.
+        No poses have a lower one; 0, which none can have, if no better bound was found.
+    nothing : float
+        A cost that is as good as none (`Relaxation.nothing`).
     rank : int
-        The highest rank that was needed.
+        The highest rank gone to.
     """
 
     poses: Floats
     cost: float
     bound: float
+    nothing: float
     rank: int
 
     @property
     def certified(self) -> bool:
-        """Whether the cost is proven to be the least, to `TIGHT` of itself."""
-        return self.cost - self.bound <= TIGHT * self.cost
+        """Whether the cost is proven to be the least, to `TIGHT` of itself or to nothing."""
+        return self.cost - self.bound <= max(TIGHT * self.cost, self.nothing)
 
 
 def solve(
@@ -267,6 +275,9 @@ def solve(
         if rounded.cost < best.cost:
             best = rounded
             bound = max(bound, best.cost - relaxed.gap(best))
-    if best.cost - bound <= relaxed.nothing:
-        bound = best.cost
-    return Solution(relaxed.poses(best.unknowns), best.cost, bound, top.rank)
+    solved = relaxed.poses(best.unknowns)
+    held = graph.index(graph.anchors)
+    solved[held] = poses[held]
+    # Rounding errors may lift the bound above the cost.
+    bound = min(max(bound, 0.0), best.cost)
+    return Solution(solved, best.cost, bound, relaxed.nothing, top.rank)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-import numpy as np
 
 from masat.certificate import Certificate
 from masat.certificate import certify as certified
@@ -58,22 +57,20 @@ def certify(
 
 
 def _tell(proof: Certificate, out: Path | None) -> None:
-    name = "chi2" if proof.exact else "chordal cost"
     written = "nothing"
     if proof.better is not None:
         written = str(out) if out is not None else "nothing: name a file with -o for better poses"
+    equal = ", which is chi2 here," if proof.exact else ""
     rows = [
         ("certified", "yes" if proof.certified else "no"),
         ("finding", proof.message),
         ("chi2", f"{proof.chi2:.8g} in the file, {proof.optimum:.8g} at the best minimum found"),
-        (name, f"{proof.cost:.8g} at that minimum, {_bound(proof)}"),
+        (
+            "chordal cost",
+            f"{proof.cost:.8g}{equal} at its best minimum found; no poses have less than "
+            f"{proof.bound:.8g}: a gap of {proof.gap:.2g}",
+        ),
         ("written", written),
     ]
     for key, text in rows:
         click.echo(f"{key:<13} {text}")
-
-
-def _bound(proof: Certificate) -> str:
-    if not np.isfinite(proof.bound):
-        return "with no bound from below"
-    return f"never below {proof.bound:.8g}: gap {proof.gap:.2g}"

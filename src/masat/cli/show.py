@@ -9,7 +9,6 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 from masat.certificate import Certificate
 from masat.optimizers import Iteration, Result
@@ -61,8 +60,8 @@ def certificate(proof: Certificate | None) -> dict[str, Any] | None:
         "chi2": proof.chi2,
         "optimum": proof.optimum,
         "chordal_cost": proof.cost,
-        "bound": proof.bound if np.isfinite(proof.bound) else None,
-        "gap": proof.gap if np.isfinite(proof.gap) else None,
+        "bound": proof.bound,
+        "gap": proof.gap,
         "exact": proof.exact,
     }
 

@@ -84,7 +84,9 @@ def solve(
         plot({f"{init}: chi2 {result.initial_chi2:.4g}": guess,
               f"optimised: chi2 {result.chi2:.4g}": result.graph}, picture)  # fmt: skip
     times = {"read": loaded - begin, "initialize": guessed - loaded, "optimize": result.seconds}
-    proof = None if quiet and not as_json else certify(result.graph, lift=False, threads=threads)
+    proof = None
+    if result.converged and (as_json or not quiet):
+        proof = certify(result.graph, lift=False, threads=threads)
     if as_json:
         about: dict[str, Any] = {
             "file": str(file),
@@ -95,7 +97,7 @@ def solve(
             "times": times,
         }
         show.as_json(about | show.summary(result) | {"certificate": show.certificate(proof)})
-    elif proof is not None:
+    elif not quiet:
         written = [p for p in (out, save, picture) if p is not None]
         _tell(result, proof, init, times, written)
     if not result.converged:
@@ -106,7 +108,7 @@ def solve(
 
 def _tell(
     result: Result,
-    proof: Certificate,
+    proof: Certificate | None,
     init: str,
     times: dict[str, float],
     written: list[Path],
@@ -128,7 +130,11 @@ def _tell(
         click.echo(f"{name:<13} {text}")
 
 
-def _optimum(proof: Certificate) -> str:
+def _optimum(proof: Certificate | None) -> str:
+    if proof is None:
+        return "not certified: not converged"
+    if proof.better is not None:
+        return f"not global: chi2 {proof.optimum:.6g} is known, masat certify -o writes it"
     if proof.certified:
         return f"global, certified to {proof.gap:.1g} of the {_NAMES[proof.exact]}"
     return "not certified: ask masat certify, which may find a better one"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from masat import relaxation
+from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
 from masat.initializers.lifted import soon_converged
@@ -33,4 +34,7 @@ def auto(graph: PoseGraph, root: int | None = None) -> PoseGraph:
 
 
 def _optimise(graph: PoseGraph) -> Result:
-    return optimize(graph, "gauss_newton", max_iterations=50, relative_tolerance=1e-6)
+    try:
+        return optimize(graph, "gauss_newton", max_iterations=50, relative_tolerance=1e-6)
+    except OptimizationError as error:
+        raise InitializationError(f"auto has to optimise, and cannot: {error}") from error

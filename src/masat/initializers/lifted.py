@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from masat import relaxation
 from masat.arrays import Floats
+from masat.errors import OptimizationError
 from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
 from masat.initializers.roots import rooted
@@ -36,5 +37,8 @@ def lifted(graph: PoseGraph, root: int | None = None, *, seed: int = 0) -> PoseG
 
 def soon_converged(guess: PoseGraph) -> Floats | None:
     """Return the poses to which Gauss-Newton soon converges, or None."""
-    result = optimize(guess, "gauss_newton", max_iterations=_SOON, relative_tolerance=1e-4)
+    try:
+        result = optimize(guess, "gauss_newton", max_iterations=_SOON, relative_tolerance=1e-4)
+    except OptimizationError:
+        return None
     return result.graph.poses if result.converged else None

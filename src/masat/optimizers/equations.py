@@ -75,7 +75,7 @@ def rounding_level(graph: PoseGraph) -> float:
     d = graph.dimension
     reach = max(1.0, float(np.abs(graph.poses[:, :d]).max()))
     diagonal = np.einsum("kii->i", graph.information)
-    return float(_EPSILON**2 * (reach**2 * diagonal[:d].sum() + diagonal[d:].sum()))
+    return float(_EPSILON**2 * (np.square(reach) * diagonal[:d].sum() + diagonal[d:].sum()))
 
 
 def why_singular(graph: PoseGraph, node: int) -> str:

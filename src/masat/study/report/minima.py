@@ -36,7 +36,7 @@ def control_table(cells: list[Cell], starts: tuple[str, ...], control: str) -> T
         row = [cell.world, cell.level]
         for start in starts:
             above = [
-                t.chi2[-1] / cell.trials[control][k].chi2[-1] - 1
+                np.divide(t.chi2[-1], cell.trials[control][k].chi2[-1]) - 1
                 for k, t in cell.trials[start].items()
                 if t.success() is not None
                 and k in cell.trials[control]
