@@ -66,10 +66,14 @@ std::unique_ptr<GraphMatrix> make_matrix(std::shared_ptr<Elimination> eliminatio
   return std::make_unique<GraphMatrix>(std::move(elimination), block_size, threads);
 }
 
-void check_values(const GraphMatrix& matrix, const Topology& graph, const Stack& values) {
+void check_graph(const GraphMatrix& matrix, const Topology& graph) {
   require(graph.nodes() == matrix.elimination()->nodes() &&
               static_cast<std::int64_t>(graph.edges().size()) == matrix.elimination()->edges(),
           "the elimination must be of the same graph");
+}
+
+void check_values(const GraphMatrix& matrix, const Topology& graph, const Stack& values) {
+  check_graph(matrix, graph);
   require(values.shape(0) == static_cast<std::size_t>(graph.nodes()) &&
               values.shape(1) == static_cast<std::size_t>(matrix.block_size()),
           "values must be (n, d, k)");
@@ -130,17 +134,17 @@ Array<double> changed(const GraphMatrix& matrix, const Stack& v, F change) {
 }
 
 // The poses, and -1 or the node whose translation is not determined.
-nb::tuple settled(const Topology& graph, std::shared_ptr<Elimination> elimination,
-                  const Table<double>& measurements, const Stack& information,
-                  const Table<double>& poses) {
+nb::tuple settled(const Topology& graph, GraphMatrix& matrix, const Table<double>& measurements,
+                  const Stack& information, const Table<double>& poses) {
   check_poses(graph, measurements, poses);
+  check_graph(matrix, graph);
   std::int32_t broken = -1;
   auto out = placed(poses, [&]<class Group>(Group*, double* p) {
+    require(matrix.block_size() == Group::kDimension, "blocks must have a row a coordinate");
     require(information.shape(0) == graph.edges().size() && information.shape(1) == Group::kDof &&
                 information.shape(2) == Group::kDof,
             "information must be (m, d, d)");
-    broken = settle_translations<Group>(graph, std::move(elimination), measurements.data(),
-                                        information.data(), p);
+    broken = settle_translations<Group>(graph, matrix, measurements.data(), information.data(), p);
   });
   return nb::make_tuple(out, broken);
 }
@@ -191,7 +195,7 @@ void bind_systems(nb::module_& m) {
           },
           "rhs"_a);
 
-  m.def("settle_translations", &settled, "topology"_a, "elimination"_a, "measurements"_a,
+  m.def("settle_translations", &settled, "topology"_a, "matrix"_a, "measurements"_a,
         "information"_a, "poses"_a);
 }
 

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <cstdint>
-#include <memory>
 #include <vector>
 
 #include "graph/topology.hpp"
@@ -11,10 +10,10 @@
 namespace masat {
 
 // Moves the poses of the free nodes. Errors are linear in the translations: one Gauss-Newton step
-// in them is exact. Returns -1, or the node whose translation is not determined.
+// in them is exact. Leaves its system in the matrix, whose blocks have a row a coordinate. Returns
+// -1, or the node whose translation is not determined.
 template <class Group>
-std::int32_t settle_translations(const Topology& graph,
-                                 std::shared_ptr<const Elimination> elimination,
+std::int32_t settle_translations(const Topology& graph, GraphMatrix& matrix,
                                  const double* measurements, const double* information,
                                  double* poses) {
   constexpr int kDimension = Group::kDimension, kDof = Group::kDof;
@@ -23,7 +22,8 @@ std::int32_t settle_translations(const Topology& graph,
   using Vector = Eigen::Matrix<double, kDimension, 1>;
   const auto m = static_cast<std::int64_t>(graph.edges().size());
   const typename Group::Table z(measurements, m), pose(poses, graph.nodes());
-  GraphMatrix matrix(elimination, kDimension);
+  const Elimination* const elimination = matrix.elimination().get();
+  matrix.set_zero();
   std::vector<double> step(matrix.rows());
   const auto segment = [&](std::int32_t place) {
     return Eigen::Map<Vector>(&step[std::int64_t{kDimension} * place]);

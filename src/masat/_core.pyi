@@ -69,7 +69,7 @@ class GraphMatrix:
 
 def settle_translations(
     topology: Topology,
-    elimination: Elimination,
+    matrix: GraphMatrix,
     measurements: Floats,
     information: Floats,
     poses: Floats,

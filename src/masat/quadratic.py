@@ -89,9 +89,9 @@ class Minimiser:
         """Take a form; of `values`, (n, d, k), those of the anchors stand."""
         self._values = values
         self._free = graph.elimination.free_nodes()
-        self._matrix = _core.GraphMatrix(graph.elimination, values.shape[1])
-        self._forcing = self._matrix.assemble(graph.topology, *form, values)
-        broken = self._matrix.factorize(np.zeros(self._forcing[..., 0].size))
+        self.matrix = _core.GraphMatrix(graph.elimination, values.shape[1])
+        self._forcing = self.matrix.assemble(graph.topology, *form, values)
+        broken = self.matrix.factorize(np.zeros(self._forcing[..., 0].size))
         if broken >= 0:
             raise InitializationError(
                 f"the edges around node {graph.ids[self._free[broken]]} do not determine it"
@@ -109,16 +109,8 @@ class Minimiser:
         ndarray, (n, d, k)
         """
         solution = self._values.copy()
-        solution[self._free] = self._matrix.solve(self._forcing + pull[self._free])
+        solution[self._free] = self.matrix.solve(self._forcing + pull[self._free])
         return solution
-
-
-def minimise(graph: PoseGraph, form: Form, values: Floats) -> Floats:
-    """Return the unknowns that minimise a form, (n, d, k).
-
-    Of `values`, (n, d, k), those of the anchors stand.
-    """
-    return Minimiser(graph, form, values)(np.zeros_like(values))
 
 
 def rotations(poses: Floats) -> Floats:
@@ -138,14 +130,18 @@ def nearest_rotations(graph: PoseGraph, poses: Floats, unknowns: Floats) -> Floa
     return turned
 
 
-def settle(graph: PoseGraph, poses: Floats) -> Floats:
+def settle(graph: PoseGraph, poses: Floats, matrix: _core.GraphMatrix | None = None) -> Floats:
     """Return the poses with the translations that minimise chi2 at their rotations.
+
+    A matrix of d rows a node that is no longer needed saves the making of another.
 
     With the full information matrices: chi2 is quadratic in the translations. Source: Carlone,
     Tron, Daniilidis, Dellaert, Initialization techniques for 3D SLAM, ICRA 2015, section II.
     """
+    if matrix is None:
+        matrix = _core.GraphMatrix(graph.elimination, graph.dimension)
     settled, broken = _core.settle_translations(
-        graph.topology, graph.elimination, graph.measurements, graph.information, poses
+        graph.topology, matrix, graph.measurements, graph.information, poses
     )
     if broken >= 0:
         raise InitializationError(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from masat import quadratic
 from masat.graph import PoseGraph
 from masat.initializers.roots import anchored, rooted
@@ -18,6 +20,7 @@ def chordal(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     poses, notes = anchored(graph)
     weights = quadratic.isotropic_weights(graph)
     form = quadratic.rotation_form(graph, weights.rotation)
-    unknowns = quadratic.minimise(graph, form, quadratic.rotations(poses))
-    turned = quadratic.nearest_rotations(graph, poses, unknowns)
-    return rooted(graph, quadratic.settle(graph, turned), root, notes)
+    rotations = quadratic.rotations(poses)
+    problem = quadratic.Minimiser(graph, form, rotations)
+    turned = quadratic.nearest_rotations(graph, poses, problem(np.zeros_like(rotations)))
+    return rooted(graph, quadratic.settle(graph, turned, problem.matrix), root, notes)
