@@ -21,7 +21,7 @@ _COMMANDS = {
     "convert": "Convert a pose graph to g2o.",
     "study": "Run and report the paper's evaluation, or a study of your own.",
     "simulate": "Simulate a world and write its pose graph.",
-    "demo": "Simulate a world, solve it from three starts, draw it.",
+    "demo": "Simulate a world, solve it from every start, draw it.",
 }
 
 

@@ -10,6 +10,8 @@ from masat.cli import options, show
 from masat.cli.compare import run, tell
 from masat.worlds import manhattan, perturb
 
+_DRAWN = ("odometry", "spanning_tree", "masat", "auto")
+
 
 @click.command()
 @click.option("--nodes", type=click.IntRange(min=100), default=3500, show_default=True)
@@ -42,11 +44,12 @@ def demo(nodes: int, noise: float, seed: int, picture: Path, as_json: bool, quie
     )
     from masat.plotting import plot
 
-    shown = [r for r in runs if r.init != "given"]
+    shown = [r for r in runs if r.init in _DRAWN]
     plot(
         {f"start: {r.init}": r.guess for r in shown}
         | {f"{r.init}, optimised: chi2 {r.result.chi2:.4g}": r.result.graph for r in shown},
         picture,
+        columns=len(shown),
     )
     if as_json:
         starts = [
