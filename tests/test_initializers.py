@@ -2,9 +2,9 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from plain_masat import plain_masat
+from plain_masat import plain_masat, plain_surest_first
 from random_graphs import random_graph
 
 import masat
@@ -20,7 +20,9 @@ def same_poses(a, b, tolerance=1e-9):
     return np.allclose(lie.local(a, b), 0, atol=tolerance)
 
 
-@settings(max_examples=60, deadline=None)
+@pytest.mark.parametrize(
+    ("method", "plain"), [("masat", plain_masat), ("surest_first", plain_surest_first)]
+)
 @given(
     dimension=st.sampled_from([2, 3]),
     nodes=st.integers(2, 40),
@@ -28,11 +30,11 @@ def same_poses(a, b, tolerance=1e-9):
     seed=st.integers(0, 2**32),
     data=st.data(),
 )
-def test_masat_agrees_with_its_specification(dimension, nodes, extra, seed, data):
+def test_a_walk_agrees_with_its_specification(method, plain, dimension, nodes, extra, seed, data):
     graph = random_graph(dimension, nodes, extra, seed)
     root = data.draw(st.integers(0, nodes - 1))
-    guess = masat.initialize(graph, "masat", root=root)
-    assert same_poses(guess.poses, plain_masat(graph, root), 1e-6)
+    guess = masat.initialize(graph, method, root=root)
+    assert same_poses(guess.poses, plain(graph, root), 1e-6)
 
 
 AUTHORS_2D = [
