@@ -48,6 +48,7 @@ $(VENV)/bin/pip:
 	$(BIN)/pip install -q --upgrade pip
 
 $(VENV)/.masat: $(VENV)/bin/pip $(SOURCES)
+	@echo "Compiling the core: a minute or two."
 	$(BIN)/pip install -q .
 	@touch $@
 
