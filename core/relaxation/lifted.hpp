@@ -4,7 +4,8 @@
 // the translation. With P = D this is the chordal problem itself; local minima vanish as P grows.
 // The cost is <X, M X> - 2 <X, F> + constant: M over the free nodes, F what the held ones make of
 // the right-hand side. Source: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; here the
-// translations stay unknowns, and a step is Newton's, by a factorisation.
+// translations stay unknowns, solved for anew after each step, which is Newton's, by a
+// factorisation.
 #pragma once
 
 #include <algorithm>
