@@ -91,6 +91,7 @@ def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int 
     same = _SAME * best.chi2 + solution.nothing
     lower = own.initial_chi2 - best.chi2 > same
     certified = solution.certified and not lower and other.chi2 - best.chi2 <= same
+    exact = _exact(graph)
     if lower:
         found = "the same minimum" if best is own else "another minimum"
         message = (
@@ -98,7 +99,7 @@ def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int 
         )
     elif not certified:
         message = "not decided: no lower minimum was found, and no proof that there is none"
-    elif _exact(graph):
+    elif exact:
         message = "globally optimal: no poses have a chi2 that is lower by more than the gap"
     else:
         message = (
@@ -112,7 +113,7 @@ def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int 
         optimum=best.chi2,
         cost=solution.cost,
         bound=solution.bound,
-        exact=_exact(graph),
+        exact=exact,
         better=best.graph if lower else None,
     )
 

@@ -32,7 +32,7 @@ _DRAWN = ("odometry", "spanning_tree", "masat", "auto")
 )
 @options.output
 def demo(nodes: int, noise: float, seed: int, picture: Path, as_json: bool, quiet: bool) -> None:
-    """Simulate a robot's walk through Manhattan, solve it from every start, draw the outcome.
+    """Simulate a robot's walk through Manhattan, solve it from every start, draw four of them.
 
     'given' is the simulated truth: the start that nobody has in real life.
     """

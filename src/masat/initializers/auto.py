@@ -25,8 +25,9 @@ def auto(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     if near is not None and relaxation.Relaxation(guess).plausible(near):
         return rooted(guess, near, root, [])
     solution = relaxation.solve(guess, guess.poses if near is None else near, decrease=1e-5)
-    starts = [solution.poses] if near is None else [near, solution.poses]
-    best = min(starts, key=lambda poses: _where_it_leads(guess.with_poses(poses)))
+    best = solution.poses
+    if near is not None:
+        best = min((near, best), key=lambda poses: _where_it_leads(guess.with_poses(poses)))
     return rooted(guess, best, root, [])
 
 
