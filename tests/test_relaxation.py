@@ -95,7 +95,7 @@ def test_the_certificate_is_that_of_the_dense_matrix(dimension):
     onto = np.tile([1.0] * d + [0.0], n - 1)
     for shift in (1e-6, 1e-3, 0.1, 1.0, 10.0):
         positive = np.linalg.eigvalsh(s + shift * np.diag(onto)).min() > 0
-        gap = _core.lifted_gap(relaxed._matrix, forcing, x[1:].copy(), shift)
+        gap = _core.lifted_gap(relaxed._matrix, forcing, x[1:].copy(), np.full(n - 1, shift))
         assert np.isfinite(gap) == positive
         if positive:
             g = (dense @ x.reshape(n * b, -1))[free]

@@ -3,6 +3,11 @@
 
 #include <nanobind/nanobind.h>
 
+#include <cstddef>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
 #include "bindings/arrays.hpp"
 
 namespace masat {
@@ -21,5 +26,22 @@ void bind_text(nb::module_& m);
 void check_poses(const Topology& graph, const Table<double>& measurements,
                  const Table<double>& poses);
 void check_rows(const GraphMatrix& matrix, const Stack& v);
+
+// Blocks of the inverse of what a system of d rows a node factorised, by places among its nodes.
+template <class System>
+Array<double> blocks_of_inverse(const System& system, std::int32_t nodes, std::size_t d,
+                                const Vector<std::int32_t>& rows,
+                                const Vector<std::int32_t>& columns) {
+  require(rows.shape(0) == columns.shape(0), "as many rows as columns");
+  for (const auto& places : {span_of(rows), span_of(columns)}) {
+    for (const std::int32_t k : places) require(k >= 0 && k < nodes, "block out of range");
+  }
+  std::vector<double> out(rows.shape(0) * d * d);
+  {
+    nb::gil_scoped_release release;
+    system.inverse(span_of(rows), span_of(columns), out.data());
+  }
+  return as_array(std::move(out), {rows.shape(0), d, d});
+}
 
 }  // namespace masat

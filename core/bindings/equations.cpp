@@ -69,22 +69,6 @@ Array<double> step_of(NormalEquations& equations) {
   return as_array(std::move(step));
 }
 
-Array<double> inverse_of(const NormalEquations& equations, const Vector<std::int32_t>& rows,
-                         const Vector<std::int32_t>& columns) {
-  require(rows.shape(0) == columns.shape(0), "as many rows as columns");
-  const auto free = static_cast<std::int32_t>(equations.free_nodes().size());
-  for (const auto& places : {span_of(rows), span_of(columns)}) {
-    for (const std::int32_t k : places) require(k >= 0 && k < free, "block out of range");
-  }
-  const std::size_t d = equations.dof();
-  std::vector<double> out(rows.shape(0) * d * d);
-  {
-    nb::gil_scoped_release release;
-    equations.inverse(span_of(rows), span_of(columns), out.data());
-  }
-  return as_array(std::move(out), {rows.shape(0), d, d});
-}
-
 Array<double> moved(const NormalEquations& equations, const Table<double>& poses,
                     const Vector<double>& step) {
   const double* const p = check_poses(equations, poses);
@@ -157,7 +141,14 @@ void bind_equations(nb::module_& m) {
           },
           "damping"_a)
       .def("solve", &step_of)
-      .def("inverse", &inverse_of, "rows"_a, "columns"_a)
+      .def(
+          "inverse",
+          [](const NormalEquations& e, const Vector<std::int32_t>& rows,
+             const Vector<std::int32_t>& columns) {
+            return blocks_of_inverse(e, static_cast<std::int32_t>(e.free_nodes().size()), e.dof(),
+                                     rows, columns);
+          },
+          "rows"_a, "columns"_a)
       .def("retract", &moved, "poses"_a, "step"_a);
 }
 

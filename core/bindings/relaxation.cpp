@@ -50,11 +50,13 @@ nb::tuple minimise_lifted(const GraphMatrix& matrix, const Stack& forcing, doubl
                         taken);
 }
 
-double lifted_gap(const GraphMatrix& matrix, const Stack& forcing, const Stack& x, double shift) {
+double lifted_gap(const GraphMatrix& matrix, const Stack& forcing, const Stack& x,
+                  const Vector<double>& shift) {
+  require(shift.shape(0) == x.shape(0), "one shift a node");
   double gap = 0;
   with_lifted(matrix, forcing, 0.0, x, [&](auto problem) {
     const nb::gil_scoped_release release;
-    gap = problem.gap({x.data(), x.data() + x.size()}, shift);
+    gap = problem.gap({x.data(), x.data() + x.size()}, span_of(shift));
   });
   return gap;
 }

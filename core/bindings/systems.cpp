@@ -121,18 +121,6 @@ Array<double> assembled_poses(GraphMatrix& matrix, const Topology& graph,
   return as_array(std::move(forcing), {matrix.rows() / d, d, columns});
 }
 
-// A copy of v, changed without the interpreter lock.
-template <class F>
-Array<double> changed(const GraphMatrix& matrix, const Stack& v, F change) {
-  check_rows(matrix, v);
-  std::vector<double> out(v.data(), v.data() + v.size());
-  {
-    nb::gil_scoped_release release;
-    change(out, static_cast<int>(v.shape(2)));
-  }
-  return as_array(std::move(out), {v.shape(0), v.shape(1), v.shape(2)});
-}
-
 // The poses, and -1 or the node whose translation is not determined.
 nb::tuple settled(const Topology& graph, GraphMatrix& matrix, const Table<double>& measurements,
                   const Stack& information, const Table<double>& poses) {
@@ -178,22 +166,27 @@ void bind_systems(nb::module_& m) {
           },
           "damping"_a)
       .def(
-          "multiply",
-          [](const GraphMatrix& matrix, const Stack& v) {
-            return changed(matrix, v, [&](std::vector<double>& out, int columns) {
-              matrix.multiply(v.data(), columns, out.data());
-            });
-          },
-          "v"_a)
-      .def(
           "solve",
           [](const GraphMatrix& matrix, const Stack& rhs) {
             require(matrix.factorized(), "factorise before solving");
-            return changed(matrix, rhs, [&](std::vector<double>& out, int columns) {
-              matrix.solve(out, columns);
-            });
+            check_rows(matrix, rhs);
+            std::vector<double> out(rhs.data(), rhs.data() + rhs.size());
+            {
+              nb::gil_scoped_release release;
+              matrix.solve(out, static_cast<int>(rhs.shape(2)));
+            }
+            return as_array(std::move(out), {rhs.shape(0), rhs.shape(1), rhs.shape(2)});
           },
-          "rhs"_a);
+          "rhs"_a)
+      .def(
+          "inverse",
+          [](const GraphMatrix& matrix, const Vector<std::int32_t>& rows,
+             const Vector<std::int32_t>& columns) {
+            require(matrix.factorized(), "factorise before inverting");
+            return blocks_of_inverse(matrix, matrix.pattern().columns(), matrix.block_size(), rows,
+                                     columns);
+          },
+          "rows"_a, "columns"_a);
 
   m.def("settle_translations", &settled, "topology"_a, "matrix"_a, "measurements"_a,
         "information"_a, "poses"_a);

@@ -12,6 +12,7 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <span>
 #include <vector>
 
 #include "relaxation/stiefel.hpp"
@@ -104,24 +105,26 @@ class Lifted {
   }
 
   // How far any feasible point may lie below the cost of x: infinite unless S = M - Lambda + shift,
-  // Lambda the multipliers at x and the shift on the frames, is positive definite. For y at x + d,
+  // Lambda the multipliers at x and the shift, one a node, on the frames, is positive definite. For
+  // y at x + d,
   //     cost(y) - cost(x) = 2 <g, d> + <d, S d> - shift |its frames|^2, g = (M - Lambda) x - F,
   // which is least at S d = -g; frames differ by at most 2 in each of their D rows.
-  double gap(const std::vector<double>& x, double shift) {
+  double gap(const std::vector<double>& x, std::span<const double> shift) {
     evaluate(x, residual_);
     find_multipliers(x);
     GraphMatrix s = matrix_;
     std::vector<double> damping(s.rows()), gradient = residual_;
+    double below = 0;
     for (std::int32_t k = 0; k < nodes_; ++k) {
       Eigen::Map<Eigen::Matrix<double, kRows, kRows>> block(s.node_block(k));
       block.template topLeftCorner<D, D>() -= lambda_[k];
       Eigen::Map<Frame>{&gradient[std::int64_t{k} * kStep]} -= lambda_[k] * frame(x, k);
-      std::fill_n(&damping[std::int64_t{k} * kRows], D, shift);
+      std::fill_n(&damping[std::int64_t{k} * kRows], D, shift[k]);
+      below += 4.0 * D * shift[k];
     }
     if (s.factorize(damping) >= 0) return std::numeric_limits<double>::infinity();
     std::vector<double> solved = gradient;
     s.solve(solved, P);
-    double below = 4.0 * D * nodes_ * shift;
     for (std::size_t i = 0; i < solved.size(); ++i) below += gradient[i] * solved[i];
     return below;
   }

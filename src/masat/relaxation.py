@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from masat import _core, quadratic
-from masat.arrays import Floats
+from masat.arrays import Floats, Indices
 from masat.errors import InitializationError
 from masat.graph import PoseGraph
 
@@ -25,11 +25,11 @@ TIGHT = 1e-3
 # the gap.
 _SHIFTS = (1e-8, TIGHT / 4)
 # How far below zero, as a share of the median weight of a rotation, the certificate's eigenvalues
-# may lie at a plausible minimum, and how many Newton steps may lead there from a start near it. At
-# .1 m and rad of noise the study's global minima lie within 0.001, at .35 beyond 0.1; local minima
-# near the chordal start lie beyond 0.02, those found after a long way may come as near as 0.003.
-_PLAUSIBLE = 0.01
-_NEAR = 30
+# may lie at a plausible minimum: at .1 m and rad of noise those of the study's global minima lie
+# within the first. Where the weak loops have been tried one by one (`masat.windings`), and their
+# ends held, the second takes few local minima for global ones.
+_PLAUSIBLE, _PLAUSIBLE_UNWOUND = 1e-3, 0.03
+_HELD = 1e6
 _POLISHING = 60
 # The rank to lift to: in 2D one column more leaves local minima that two do not; in 3D the blocks
 # of a second one would be too large.
@@ -156,17 +156,27 @@ class Relaxation:
         d = self.graph.dimension
         share = max(point.cost, self.nothing) / (len(self._free) * (d + 1))
         forcing = self._assemble(point.unknowns)
-        gaps = (self._gap(point.unknowns, forcing, shift * share) for shift in _SHIFTS)
+        shifts = (np.full(len(self._free), shift * share) for shift in _SHIFTS)
+        gaps = (self._gap(point.unknowns, forcing, shift) for shift in shifts)
         return next((gap for gap in gaps if np.isfinite(gap)), np.inf)
 
-    def _gap(self, x: Floats, forcing: Floats, shift: float) -> float:
+    def _gap(self, x: Floats, forcing: Floats, shift: Floats) -> float:
         return _core.lifted_gap(self._matrix, forcing, np.ascontiguousarray(x[self._free]), shift)
 
-    def plausible(self, poses: Floats) -> bool:
-        """Whether a minimum looks global, without a proof: its certificate fails by little."""
+    def plausible(self, poses: Floats, tried: Indices | None = None) -> bool:
+        """Whether a minimum looks global, without a proof: its certificate fails by little.
+
+        If its weak loops have been tried, and are the places of nodes in them, it may fail there,
+        and by more.
+        """
+        if len(self._free) == 0:
+            return True
+        share = _PLAUSIBLE if tried is None else _PLAUSIBLE_UNWOUND
+        shift = np.full(len(self.graph.ids), share * self._scale)
+        if tried is not None:
+            shift[tried] = _HELD * self._scale
         x = self.unknowns(poses, self.graph.dimension)
-        shift = _PLAUSIBLE * self._scale
-        return len(self._free) == 0 or np.isfinite(self._gap(x, self._assemble(x), shift))
+        return bool(np.isfinite(self._gap(x, self._assemble(x), shift[self._free])))
 
     def poses(self, x: Floats) -> Floats:
         """Return the poses nearest to unknowns of any rank, (n, 3) or (n, 7)."""
@@ -231,7 +241,6 @@ def solve(
     graph: PoseGraph,
     poses: Floats,
     *,
-    trust: bool = False,
     lift: bool = True,
     decrease: float = 1e-6,
     seed: int = 0,
@@ -249,8 +258,6 @@ def solve(
         The graph.
     poses : ndarray, (n, 3) or (n, 7)
         Where to begin, the anchors at their places.
-    trust : bool
-        Whether a plausible minimum that was near the poses needs no proof.
     lift : bool
         Whether to go to a higher rank at all.
     decrease : float
@@ -266,8 +273,7 @@ def solve(
     best = top = relaxed.polish(poses)
     bound = best.cost - relaxed.gap(best)
     known = best.cost - bound <= max(TIGHT * best.cost, relaxed.nothing)
-    trusted = trust and best.steps <= _NEAR and relaxed.plausible(relaxed.poses(best.unknowns))
-    if lift and not known and not trusted and relaxed.can_lift():
+    if lift and not known and relaxed.can_lift():
         lifted = relaxed.lift(best.unknowns, np.random.default_rng(seed))
         top = relaxed.minimise(lifted, decrease=decrease, damping=30.0)
         bound = max(bound, top.cost - relaxed.gap(top))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from masat import relaxation
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
-from masat.initializers.lifted import soon_converged
+from masat.initializers.lifted import lift, near_minimum
 from masat.initializers.roots import rooted
 from masat.optimizers import optimize
 
@@ -15,20 +14,18 @@ def auto(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     """Begin cheaply, check, and lift only where that leaves doubt.
 
     The chordal start and Gauss-Newton; if that soon converges to what looks like a global minimum
-    (`masat.relaxation.Relaxation.plausible`), it is done. Else the lifted start goes on from there,
-    and of the two the one that leads to the lower chi2 is taken. The rule is measured in
+    (`masat.relaxation.Relaxation.plausible`), it is done. If not, another turn around its weak
+    loops is tried (`masat.windings`). Where doubt is left, the lifted start goes on from there, and
+    of the two the one that leads to the lower chi2 is taken. The rule is measured in
     docs/starts.md.
     """
     guess = chordal(graph)
-    near = soon_converged(guess)
-    assert guess.poses is not None
-    if near is not None and relaxation.Relaxation(guess).plausible(near):
-        return rooted(guess, near, root, [])
-    solution = relaxation.solve(guess, guess.poses if near is None else near, decrease=1e-5)
-    best = solution.poses
-    if near is not None:
-        best = min((near, best), key=lambda poses: _where_it_leads(guess.with_poses(poses)))
-    return rooted(guess, best, root, [])
+    near, trusted = near_minimum(guess)
+    if near is None or not trusted:
+        lifted = lift(guess, near)
+        candidates = [lifted] if near is None else [near, lifted]
+        near = min(candidates, key=lambda poses: _where_it_leads(guess.with_poses(poses)))
+    return rooted(guess, near, root, [])
 
 
 def _where_it_leads(graph: PoseGraph) -> tuple[bool, float]:

@@ -1,0 +1,296 @@
+"""Whole turns around weak loops: the local minima that one winding number tells from the next.
+
+Along a loop the measured rotations must add up to whole turns, and how many these are is what most
+local minima of a pose graph differ in: from one to the next, the edges of a loop share another
+2 pi. A minimum is improved by trying a turn more or less where the loops are weak.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from masat import _core, lie, quadratic
+from masat.arrays import Flags, Floats, Ids, Indices
+from masat.graph import PoseGraph
+from masat.optimizers import Iteration, optimize
+from masat.optimizers.equations import normal_equations
+
+_TURN = 2 * np.pi
+# Of a turn, what an edge may keep for itself: with half of it, it is back where it was.
+_MOST_SLACK = 0.5
+# chi2 that a turn must promise, seen from the rotations alone: positions always add to it.
+_PROMISE = 3.0
+# Edges that take more than this share of what the loop's own edge takes are of the same loop.
+_SHARED = 0.5
+# Radians: nodes that turn by less hold still while a turn is tried.
+_STILL = 0.2
+# chi2 above the minimum's up to which all nodes together are asked whether the turn pays.
+_NEARLY = 5.0
+# Radians: errors below this are alike to a turn that goes where the loop bends most; and a loop
+# whose error has changed by less need not be tried again.
+_STRAIGHT = 0.03
+# chi2 this much lower, relatively, is another minimum; as between two solvers.
+_LOWER = 1e-6
+
+
+class Unwound(NamedTuple):
+    """What came of `unwind`.
+
+    Attributes
+    ----------
+    poses : ndarray, (n, 3) or (n, 7)
+        At the lowest minimum met; those given if no loop was worth trying.
+    turns : int
+        How many were taken on the way.
+    refused : ndarray of int
+        Places in `ids` of the ends of an edge of each loop that promised more than it kept.
+    """
+
+    poses: Floats
+    turns: int
+    refused: Indices
+
+
+class Loop(NamedTuple):
+    """The loops through an edge, and how they share a turn.
+
+    Attributes
+    ----------
+    edge : int
+    error : float
+        Of its rotation, in radians.
+    axis : ndarray, (1,) or (3,)
+        About which, in the world.
+    even : ndarray, (n,)
+        By how much each node turns for the least change of all rotations.
+    """
+
+    edge: int
+    error: float
+    axis: Floats
+    even: Floats
+
+
+def unwind(graph: PoseGraph) -> Unwound:
+    """Go from near a minimum of chi2 to lower ones by whole turns around weak loops.
+
+    Were rotations all there is, another turn around a loop would cost 4 pi w (pi s - |e|): w is the
+    weight of an edge of it, e the error of its rotation, and s the share that it keeps of a turn,
+    of which the rest of the loop takes the others. Loops where that is negative are tried, the most
+    promising first: the turn is spread over the loop, evenly or to where it bends, and the nodes
+    that turn are optimised. What lowers chi2 stands. Source: Carlone and Censi, From angular
+    manifolds to the integer lattice, T-RO 2014, who search for these integers, all at once and for
+    rotations alone.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        A graph with poses near a minimum.
+
+    Returns
+    -------
+    Unwound
+    """
+    assert graph.poses is not None
+    loops = _Loops(graph)
+    poses, turns = graph.poses, 0
+    refused: dict[int, float] = {}
+    if next(loops.promising(poses), None) is not None:
+        region = _Region(graph)
+        moved = True
+        while moved:
+            moved = False
+            poses, chi2 = _minimum(graph, poses)
+            bent = loops.bent(poses)
+            for loop in loops.promising(poses):
+                if abs(loop.error - refused.get(loop.edge, np.inf)) < _STRAIGHT:
+                    continue
+                shifts = (loop.even, bent.response(loop.edge))
+                tried = (region.turned(poses, chi2, loop.axis, shift) for shift in shifts)
+                lower = next(filter(None, tried), None)
+                if lower is None:
+                    refused[loop.edge] = loop.error
+                else:
+                    (poses, chi2), turns, moved = lower, turns + 1, True
+    return Unwound(poses, turns, np.unique(graph.edge_indices[list(refused)]))
+
+
+def _minimum(graph: PoseGraph, poses: Floats) -> tuple[Floats, float]:
+    """Return the poses of the minimum that an optimiser finds from some, and chi2 there."""
+    result = optimize(graph.with_poses(poses), relative_tolerance=1e-8, max_iterations=50)
+    assert result.graph.poses is not None
+    return result.graph.poses, result.chi2
+
+
+class _Loops:
+    """The Laplacian of the rotations: how the edges of a graph share the turns of its loops."""
+
+    def __init__(self, graph: PoseGraph, stretch: Floats | float = 1.0) -> None:
+        """Take a graph, and by how much its edges give way more than their information says."""
+        self._graph = graph
+        # chi2 is this weight times the square of the angle.
+        self._weight = 2 * quadratic.isotropic_weights(graph).rotation / stretch
+        self._free = graph.elimination.free_nodes()
+        self._place = np.full(len(graph.ids), -1, np.int32)
+        self._place[self._free] = np.arange(len(self._free), dtype=np.int32)
+        block = self._weight[:, None, None]
+        still = np.zeros((len(graph.ids), 1, 1))
+        self._minimiser = quadratic.Minimiser(graph, quadratic.Form(block, -block, block), still)
+
+    def response(self, edge: int) -> Floats:
+        """Return by how much each node turns for another turn at an edge, (n,), in radians."""
+        i, j = self._graph.edge_indices[edge]
+        pull = np.zeros((len(self._graph.ids), 1, 1))
+        pull[j] = _TURN * self._weight[edge]
+        pull[i] = -pull[j]
+        return self._minimiser(pull).ravel()
+
+    @cached_property
+    def _slack(self) -> Floats:
+        """Return what each edge keeps of a turn of its own, (m,), from 0 to 1."""
+        i, j = self._place[self._graph.edge_indices.T]
+        every = np.arange(len(self._free), dtype=np.int32)
+        own = np.append(self._minimiser.matrix.inverse(every, every).ravel(), 0.0)
+        inside = (i >= 0) & (j >= 0)
+        joint = np.zeros(len(i))
+        joint[inside] = self._minimiser.matrix.inverse(i[inside], j[inside]).ravel()
+        slack: Floats = 1 - self._weight * (own[i] + own[j] - 2 * joint)
+        return slack
+
+    def bent(self, poses: Floats) -> _Loops:
+        """Return the loops if their edges gave way the more, the larger their errors are."""
+        return _Loops(self._graph, _errors(self._graph, poses)[0] + _STRAIGHT)
+
+    def promising(self, poses: Floats) -> Iterator[Loop]:
+        """Yield the loops, one an edge that stands for it, that another turn promises to better."""
+        graph = self._graph
+        i, j = graph.edge_indices.T
+        slack = self._slack
+        error, axis = _errors(graph, poses)
+        cost = 2 * _TURN * self._weight * (np.pi * slack - error)
+        weak = np.flatnonzero((cost < -_PROMISE) & (slack < _MOST_SLACK) & (slack > 1e-9))
+        of_a_better = np.zeros(len(cost), np.bool_)
+        for edge in weak[np.argsort(cost[weak], kind="stable")]:
+            if of_a_better[edge]:
+                continue
+            turns = self.response(edge)
+            taken = turns[j] - turns[i]
+            taken[edge] -= _TURN
+            of_a_better |= np.abs(taken) > _SHARED * abs(taken[edge])
+            yield Loop(int(edge), float(error[edge]), axis[edge], turns)
+
+
+def _errors(graph: PoseGraph, poses: Floats) -> tuple[Floats, Floats]:
+    """Return the angles of the edges' rotation errors, (m,), and their axes in the world."""
+    d = graph.dimension
+    start, end = (poses[k] for k in graph.edge_indices.T)
+    e = lie.local(graph.measurements, lie.between(start, end))[:, d:]
+    if d == 2:
+        return np.abs(e[:, 0]), np.where(e < 0, -1.0, 1.0)
+    sine = np.sqrt(np.square(e).sum(axis=1))
+    axis = _core.rotation_matrices(end) @ (e / np.maximum(sine, 1e-300)[:, None])[..., None]
+    return 2 * np.arcsin(np.minimum(sine, 1.0)), axis[..., 0]
+
+
+def _turn(poses: Floats, axis: Floats, angles: Floats) -> Floats:
+    """Return poses turned on the spot about an axis of the world."""
+    d = 2 if poses.shape[1] == 3 else 3
+    steps = np.zeros((len(poses), lie.DOF[d]))
+    if d == 2:
+        steps[:, 2] = angles * axis
+    else:
+        own = axis @ _core.rotation_matrices(poses)
+        half = (angles / 2 + np.pi / 2) % np.pi - np.pi / 2
+        steps[:, 3:] = np.sin(half)[:, None] * own
+    return lie.retract(poses, steps)
+
+
+class _Region:
+    """Tries turns on the nodes around a loop, the others held still."""
+
+    def __init__(self, graph: PoseGraph) -> None:
+        self._graph = graph
+        m, n = len(graph.edges), len(graph.ids)
+        ends = graph.edge_indices.T.ravel()
+        self._edges = np.argsort(ends, kind="stable") % m
+        self._start = np.searchsorted(np.sort(ends), np.arange(n + 1))
+        self._labels = graph.components
+        anchors = graph.index(graph.anchors)
+        held = np.bincount(self._labels[anchors], minlength=int(self._labels.max()) + 1)
+        # What holds only the gauge may turn with the rest, and is put back afterwards.
+        self._gauge = anchors[held[self._labels[anchors]] == 1]
+        self._held = anchors[held[self._labels[anchors]] > 1]
+
+    def turned(
+        self, poses: Floats, chi2: float, axis: Floats, angles: Floats
+    ) -> tuple[Floats, float] | None:
+        """Return the poses at the minimum beyond a turn, and their chi2 if it is lower."""
+        graph = self._graph
+        own = np.abs(angles) > 0
+        label = self._labels[np.argmax(own)]
+        gauge = self._gauge[self._labels[self._gauge] == label]
+        if len(gauge):
+            # As many nodes as possible are to hold still.
+            own = self._labels == label
+            angles = np.where(own, angles - np.angle(np.exp(1j * angles[own]).mean()), 0.0)
+        apart = np.abs(angles - _TURN * np.round(angles / _TURN)) > _STILL
+        if not apart.any():
+            return None
+        inside = self._around(apart)
+        edges = self._edges_at(inside)
+        nodes = np.unique(graph.edge_indices[edges]).astype(np.int64)
+        start = _turn(poses[nodes], axis, np.where(inside[nodes], angles[nodes], 0.0))
+        part = PoseGraph(
+            ids=nodes,
+            poses=start,
+            edges=graph.edge_indices[edges].astype(np.int64),
+            measurements=np.ascontiguousarray(graph.measurements[edges]),
+            information=np.ascontiguousarray(graph.information[edges]),
+            fixed=nodes[~inside[nodes]],
+        )
+        before = normal_equations(part).chi2(poses[nodes])
+        last = [np.inf]
+
+        def hopeless(step: Iteration) -> bool:
+            gained, last[0] = last[0] - step.chi2, step.chi2
+            return step.chi2 - before - _NEARLY > 10 * gained
+
+        result = optimize(
+            part.with_poses(quadratic.settle(part, start)),
+            max_iterations=30,
+            absolute_tolerance=1e-2,
+            report=hopeless,
+        )
+        assert result.graph.poses is not None
+        out = poses.copy()
+        out[nodes] = result.graph.poses
+        change = result.chi2 - before
+        if change > _NEARLY or np.abs(lie.local(poses[nodes], out[nodes])).max() < _STRAIGHT:
+            return None
+        if len(gauge):
+            own = self._labels == label
+            back = lie.compose(poses[gauge[0]], lie.inverse(out[gauge[0]]))
+            out[own] = lie.compose(back, out[own])
+            out[gauge] = poses[gauge]
+        if change > -_LOWER * chi2:
+            out, after = _minimum(graph, out)
+            change = after - chi2
+        return (out, chi2 + change) if change < -_LOWER * chi2 else None
+
+    def _edges_at(self, nodes: Flags) -> Ids:
+        """Return the edges that touch some nodes."""
+        places = np.flatnonzero(nodes)
+        count = self._start[places + 1] - self._start[places]
+        first = self._start[places] - (np.cumsum(count) - count)
+        return np.unique(self._edges[np.repeat(first, count) + np.arange(count.sum())])
+
+    def _around(self, nodes: Flags) -> Flags:
+        """Return the nodes that may move with some: they and their neighbours, but for the held."""
+        out = nodes.copy()
+        out[self._graph.edge_indices[self._edges_at(nodes)]] = True
+        out[self._held] = False
+        return out
