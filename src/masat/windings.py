@@ -28,11 +28,14 @@ _PROMISE = 3.0
 _SHARED = 0.5
 # Radians: nodes that turn by less hold still while a turn is tried.
 _STILL = 0.2
-# chi2 above the minimum's up to which all nodes together are asked whether the turn pays.
-_NEARLY = 5.0
-# Radians: errors below this are alike to a turn that goes where the loop bends most; and a loop
-# whose error has changed by less need not be tried again.
-_STRAIGHT = 0.03
+# chi2 above the minimum: up to the first, all nodes together are asked whether a turn pays; beyond
+# the second, another way of spreading the turn is not worth a try.
+_NEARLY, _FAR = 5.0, 25.0
+# A trial ends where so many more steps like the last would not bring it near.
+_HOPE = 40
+# Radians: errors below this are alike to a turn that goes where the loop bends most; a loop whose
+# error has changed by less need not be tried again; and nodes that moved less are where they were.
+_STRAIGHT = 0.01
 # chi2 this much lower, relatively, is another minimum; as between two solvers.
 _LOWER = 1e-6
 
@@ -109,13 +112,13 @@ def unwind(graph: PoseGraph) -> Unwound:
             for loop in loops.promising(poses):
                 if abs(loop.error - refused.get(loop.edge, np.inf)) < _STRAIGHT:
                     continue
-                shifts = (loop.even, bent.response(loop.edge))
-                tried = (region.turned(poses, chi2, loop.axis, shift) for shift in shifts)
-                lower = next(filter(None, tried), None)
-                if lower is None:
-                    refused[loop.edge] = loop.error
+                beyond = region.turned(poses, chi2, loop.axis, loop.even)
+                if chi2 * (1 - _LOWER) <= beyond[1] < chi2 + _FAR:
+                    beyond = region.turned(poses, chi2, loop.axis, bent.response(loop.edge))
+                if beyond[1] < chi2 * (1 - _LOWER):
+                    (poses, chi2), turns, moved = beyond, turns + 1, True
                 else:
-                    (poses, chi2), turns, moved = lower, turns + 1, True
+                    refused[loop.edge] = loop.error
     return Unwound(poses, turns, np.unique(graph.edge_indices[list(refused)]))
 
 
@@ -227,8 +230,8 @@ class _Region:
 
     def turned(
         self, poses: Floats, chi2: float, axis: Floats, angles: Floats
-    ) -> tuple[Floats, float] | None:
-        """Return the poses at the minimum beyond a turn, and their chi2 if it is lower."""
+    ) -> tuple[Floats, float]:
+        """Return the poses at the minimum beyond a turn, and chi2 there."""
         graph = self._graph
         own = np.abs(angles) > 0
         label = self._labels[np.argmax(own)]
@@ -239,7 +242,7 @@ class _Region:
             angles = np.where(own, angles - np.angle(np.exp(1j * angles[own]).mean()), 0.0)
         apart = np.abs(angles - _TURN * np.round(angles / _TURN)) > _STILL
         if not apart.any():
-            return None
+            return poses, chi2
         inside = self._around(apart)
         edges = self._edges_at(inside)
         nodes = np.unique(graph.edge_indices[edges]).astype(np.int64)
@@ -257,7 +260,7 @@ class _Region:
 
         def hopeless(step: Iteration) -> bool:
             gained, last[0] = last[0] - step.chi2, step.chi2
-            return step.chi2 - before - _NEARLY > 10 * gained
+            return step.chi2 - before - _NEARLY > _HOPE * gained
 
         result = optimize(
             part.with_poses(quadratic.settle(part, start)),
@@ -268,18 +271,16 @@ class _Region:
         assert result.graph.poses is not None
         out = poses.copy()
         out[nodes] = result.graph.poses
-        change = result.chi2 - before
-        if change > _NEARLY or np.abs(lie.local(poses[nodes], out[nodes])).max() < _STRAIGHT:
-            return None
+        after = chi2 + result.chi2 - before
+        if np.abs(lie.local(poses[nodes], out[nodes])).max() < _STRAIGHT:
+            return poses, chi2
         if len(gauge):
             own = self._labels == label
             back = lie.compose(poses[gauge[0]], lie.inverse(out[gauge[0]]))
             out[own] = lie.compose(back, out[own])
             out[gauge] = poses[gauge]
-        if change > -_LOWER * chi2:
-            out, after = _minimum(graph, out)
-            change = after - chi2
-        return (out, chi2 + change) if change < -_LOWER * chi2 else None
+        undecided = chi2 * (1 - _LOWER) <= after < chi2 + _NEARLY
+        return _minimum(graph, out) if undecided else (out, after)
 
     def _edges_at(self, nodes: Flags) -> Ids:
         """Return the edges that touch some nodes."""

@@ -33,7 +33,7 @@ def lift(guess: PoseGraph, near: Floats | None, *, seed: int = 0, trusted: bool 
     """Return the poses of the least chordal cost found from a guess, or from what came of it."""
     assert guess.poses is not None
     start = guess.poses if near is None else near
-    solution = relaxation.solve(guess, start, lift=not trusted, decrease=1e-5, seed=seed)
+    solution = relaxation.solve(guess, start, lift=not trusted, decrease=1e-3, seed=seed)
     if trusted:
         return solution.poses
     return windings.unwind(guess.with_poses(solution.poses)).poses
