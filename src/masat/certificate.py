@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from masat import relaxation
+from masat import relaxation, windings
 from masat.arrays import Floats
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
@@ -65,8 +65,8 @@ def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int 
     graph : PoseGraph
         A graph with the poses in question.
     lift : bool
-        Whether to go to higher ranks where the poses' own leaves a gap: dear, and the way to a
-        better minimum if there is one.
+        Whether to go to higher ranks where the poses' own leaves a gap, and to try turns around
+        weak loops (`masat.windings`): dear, and the way to a better minimum if there is one.
     seed : int
         Of the noise that opens higher ranks.
     threads : int
@@ -88,6 +88,10 @@ def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int 
     solution = relaxation.solve(own.graph, own.graph.poses, lift=lift, seed=seed)
     other = optimize(graph.with_poses(solution.poses), threads=threads)
     best = min(own, other, key=lambda result: result.chi2)
+    if lift and not solution.certified:
+        unwound = windings.unwind(best.graph)
+        if unwound.turns:
+            best = optimize(graph.with_poses(unwound.poses), threads=threads)
     same = _SAME * best.chi2 + solution.nothing
     lower = own.initial_chi2 - best.chi2 > same
     certified = solution.certified and not lower and other.chi2 - best.chi2 <= same

@@ -34,16 +34,24 @@ class Form(NamedTuple):
 def isotropic_weights(graph: PoseGraph) -> Weights:
     """Return the isotropic surrogates of the information matrices.
 
-    A translation weighs d / trace(inverse of its block). A rotation's weight makes the chordal
-    cost, weight |R_j - R_i R|^2, equal the chi2 of small errors: half the information of an angle
-    in 2D, an eighth of that of the quaternion's vector part in 3D. Source: Rosen, Carlone,
-    Bandeira, Leonard, SE-Sync, IJRR 2019, section 3.
+    A translation weighs d / trace(inverse of its block); of the rotations see `rotation_weights`.
+    Source: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019, section 3.
     """
     d = graph.dimension
-    rotation, translation = graph.information[:, d:, d:], graph.information[:, :d, :d]
+    return Weights(rotation_weights(graph), d / _trace_of_inverse(graph.information[:, :d, :d]))
+
+
+def rotation_weights(graph: PoseGraph) -> Floats:
+    """Return the weights of the rotations, (m,).
+
+    They make the chordal cost, weight |R_j - R_i R|^2, equal the chi2 of small errors: half the
+    information of an angle in 2D, an eighth of that of the quaternion's vector part in 3D.
+    """
+    d = graph.dimension
+    rotation = graph.information[:, d:, d:]
     if d == 2:
-        return Weights(rotation[:, 0, 0] / 2, 2 / _trace_of_inverse(translation))
-    return Weights(3 / _trace_of_inverse(rotation) / 8, 3 / _trace_of_inverse(translation))
+        return rotation[:, 0, 0] / 2
+    return 3 / _trace_of_inverse(rotation) / 8
 
 
 def _trace_of_inverse(a: Floats) -> Floats:

@@ -136,7 +136,7 @@ class _Loops:
         """Take a graph, and by how much its edges give way more than their information says."""
         self._graph = graph
         # chi2 is this weight times the square of the angle.
-        self._weight = 2 * quadratic.isotropic_weights(graph).rotation / stretch
+        self._weight = 2 * quadratic.rotation_weights(graph) / stretch
         self._free = graph.elimination.free_nodes()
         self._place = np.full(len(graph.ids), -1, np.int32)
         self._place[self._free] = np.arange(len(self._free), dtype=np.int32)

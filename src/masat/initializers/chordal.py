@@ -18,8 +18,7 @@ def chordal(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     Carlone, Tron, Daniilidis, Dellaert, Initialization techniques for 3D SLAM, ICRA 2015.
     """
     poses, notes = anchored(graph)
-    weights = quadratic.isotropic_weights(graph)
-    form = quadratic.rotation_form(graph, weights.rotation)
+    form = quadratic.rotation_form(graph, quadratic.rotation_weights(graph))
     rotations = quadratic.rotations(poses)
     problem = quadratic.Minimiser(graph, form, rotations)
     turned = quadratic.nearest_rotations(graph, poses, problem(np.zeros_like(rotations)))

@@ -79,7 +79,7 @@ class _Laplacian:
         labels = graph.components[self._anchors]
         self.leads = self._anchors[np.unique(labels, return_index=True)[1]]
         self._lead = self.leads[labels]
-        self._weight = quadratic.isotropic_weights(graph).rotation
+        self._weight = quadratic.rotation_weights(graph)
         self._back = _core.rotation_matrices(graph.measurements).transpose(0, 2, 1)
         self.nodes = _groups(graph.components)
         self._edges = _groups(graph.components[graph.edge_indices[:, 0]], len(self.nodes))
