@@ -63,7 +63,7 @@ def test_edges_of_a_ring_share_a_turn():
 
 def test_a_ring_promises_what_the_turn_brings():
     graph = ring(24, 2, turns=1)
-    (loop,) = windings._Loops(graph).promising(graph.poses)
+    (loop,) = windings._Loops(graph).promising(graph.poses, 1.0)
     assert np.isclose(loop.error, 2 * np.pi / 24)
     # Of 100 * 24 * (2 pi / 24)^2 nothing is left: 100 * 4 pi (pi / 24 - 2 pi / 24).
     assert np.isclose(chi2(graph, graph.poses), 100 * 4 * np.pi * np.pi / 24, rtol=1e-4)

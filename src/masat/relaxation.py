@@ -28,7 +28,7 @@ _SHIFTS = (1e-8, TIGHT / 4)
 # may lie at a plausible minimum: at .1 m and rad of noise those of the study's global minima lie
 # within the first. Where the weak loops have been tried one by one (`masat.windings`), and their
 # ends held, the second takes few local minima for global ones.
-_PLAUSIBLE, _PLAUSIBLE_UNWOUND = 1e-3, 0.05
+_PLAUSIBLE, _PLAUSIBLE_UNWOUND = 1e-3, 0.02
 _HELD = 1e6
 _POLISHING = 60
 # The rank to lift to: in 2D one column more leaves local minima that two do not; in 3D the blocks

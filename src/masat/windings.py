@@ -17,19 +17,20 @@ from masat import _core, lie, quadratic
 from masat.arrays import Flags, Floats, Ids, Indices
 from masat.graph import PoseGraph
 from masat.optimizers import Iteration, optimize
-from masat.optimizers.equations import normal_equations
+from masat.optimizers.equations import edge_chi2, normal_equations
 
 _TURN = 2 * np.pi
 # Of a turn, what an edge may keep for itself: with half of it, it is back where it was.
 _MOST_SLACK = 0.5
-# chi2 that a turn must promise, seen from the rotations alone: positions always add to it.
+# What a turn must promise, seen from the rotations alone: positions always add to it. In units of
+# chi2, or of the reduced chi2 where that is below 1 (`_unit`).
 _PROMISE = 3.0
 # Edges that take more than this share of what the loop's own edge takes are of the same loop.
 _SHARED = 0.5
 # Radians: nodes that turn by less hold still while a turn is tried.
 _STILL = 0.2
-# chi2 above the minimum: up to the first, all nodes together are asked whether a turn pays; beyond
-# the second, another way of spreading the turn is not worth a try.
+# Such units above the minimum: up to the first, all nodes together are asked whether a turn pays;
+# beyond the second, another way of spreading the turn is not worth a try.
 _NEARLY, _FAR = 5.0, 25.0
 # A trial ends where so many more steps like the last would not bring it near.
 _HOPE = 40
@@ -102,24 +103,32 @@ def unwind(graph: PoseGraph) -> Unwound:
     loops = _Loops(graph)
     poses, turns = graph.poses, 0
     refused: dict[int, float] = {}
-    if next(loops.promising(poses), None) is not None:
-        region = _Region(graph)
+    unit = _unit(graph)
+    if next(loops.promising(poses, unit), None) is not None:
+        region = _Region(graph, unit)
         moved = True
         while moved:
             moved = False
             poses, chi2 = _minimum(graph, poses)
             bent = loops.bent(poses)
-            for loop in loops.promising(poses):
+            for loop in loops.promising(poses, unit):
                 if abs(loop.error - refused.get(loop.edge, np.inf)) < _STRAIGHT:
                     continue
                 beyond = region.turned(poses, chi2, loop.axis, loop.even)
-                if chi2 * (1 - _LOWER) <= beyond[1] < chi2 + _FAR:
+                if chi2 * (1 - _LOWER) <= beyond[1] < chi2 + _FAR * unit:
                     beyond = region.turned(poses, chi2, loop.axis, bent.response(loop.edge))
                 if beyond[1] < chi2 * (1 - _LOWER):
                     (poses, chi2), turns, moved = beyond, turns + 1, True
                 else:
                     refused[loop.edge] = loop.error
     return Unwound(poses, turns, np.unique(graph.edge_indices[list(refused)]))
+
+
+def _unit(graph: PoseGraph) -> float:
+    """Return the chi2 that is one: less where the information promises less than it keeps."""
+    free = len(graph.ids) - len(graph.anchors)
+    freedom = graph.dof * (len(graph.edges) - free)
+    return min(1.0, float(edge_chi2(graph).sum()) / freedom) if freedom > 0 else 1.0
 
 
 def _minimum(graph: PoseGraph, poses: Floats) -> tuple[Floats, float]:
@@ -168,14 +177,14 @@ class _Loops:
         """Return the loops if their edges gave way the more, the larger their errors are."""
         return _Loops(self._graph, _errors(self._graph, poses)[0] + _STRAIGHT)
 
-    def promising(self, poses: Floats) -> Iterator[Loop]:
+    def promising(self, poses: Floats, unit: float) -> Iterator[Loop]:
         """Yield the loops, one an edge that stands for it, that another turn promises to better."""
         graph = self._graph
         i, j = graph.edge_indices.T
         slack = self._slack
         error, axis = _errors(graph, poses)
         cost = 2 * _TURN * self._weight * (np.pi * slack - error)
-        weak = np.flatnonzero((cost < -_PROMISE) & (slack < _MOST_SLACK) & (slack > 1e-9))
+        weak = np.flatnonzero((cost < -_PROMISE * unit) & (slack < _MOST_SLACK) & (slack > 1e-9))
         of_a_better = np.zeros(len(cost), np.bool_)
         for edge in weak[np.argsort(cost[weak], kind="stable")]:
             if of_a_better[edge]:
@@ -215,8 +224,9 @@ def _turn(poses: Floats, axis: Floats, angles: Floats) -> Floats:
 class _Region:
     """Tries turns on the nodes around a loop, the others held still."""
 
-    def __init__(self, graph: PoseGraph) -> None:
+    def __init__(self, graph: PoseGraph, unit: float) -> None:
         self._graph = graph
+        self._nearly = _NEARLY * unit
         m, n = len(graph.edges), len(graph.ids)
         ends = graph.edge_indices.T.ravel()
         self._edges = np.argsort(ends, kind="stable") % m
@@ -260,12 +270,12 @@ class _Region:
 
         def hopeless(step: Iteration) -> bool:
             gained, last[0] = last[0] - step.chi2, step.chi2
-            return step.chi2 - before - _NEARLY > _HOPE * gained
+            return step.chi2 - before - self._nearly > _HOPE * gained
 
         result = optimize(
             part.with_poses(quadratic.settle(part, start)),
             max_iterations=30,
-            absolute_tolerance=1e-2,
+            absolute_tolerance=self._nearly / 500,
             report=hopeless,
         )
         assert result.graph.poses is not None
@@ -279,7 +289,7 @@ class _Region:
             back = lie.compose(poses[gauge[0]], lie.inverse(out[gauge[0]]))
             out[own] = lie.compose(back, out[own])
             out[gauge] = poses[gauge]
-        undecided = chi2 * (1 - _LOWER) <= after < chi2 + _NEARLY
+        undecided = chi2 * (1 - _LOWER) <= after < chi2 + self._nearly
         return _minimum(graph, out) if undecided else (out, after)
 
     def _edges_at(self, nodes: Flags) -> Ids:

@@ -12,6 +12,8 @@ from masat.optimizers import optimize
 
 # Iterations of Gauss-Newton: a longer way leads, as like as not, to a local minimum.
 _SOON = 15
+# Of the cost a degree of freedom: a step in a higher rank that promises less is the last.
+_INSIGNIFICANT = 1.5
 
 
 def lifted(graph: PoseGraph, root: int | None = None, *, seed: int = 0) -> PoseGraph:
@@ -33,10 +35,16 @@ def lift(guess: PoseGraph, near: Floats | None, *, seed: int = 0, trusted: bool 
     """Return the poses of the least chordal cost found from a guess, or from what came of it."""
     assert guess.poses is not None
     start = guess.poses if near is None else near
-    solution = relaxation.solve(guess, start, lift=not trusted, decrease=1e-3, seed=seed)
+    freedom = max(1, guess.dof * (len(guess.edges) - len(guess.ids)))
+    decrease = min(1e-3, _INSIGNIFICANT / freedom)
+    solution = relaxation.solve(guess, start, lift=not trusted, decrease=decrease, seed=seed)
     if trusted:
         return solution.poses
-    return windings.unwind(guess.with_poses(solution.poses)).poses
+    unwound = windings.unwind(guess.with_poses(solution.poses))
+    # From the very minimum: Gauss-Newton may leave even the surroundings.
+    best = optimize(guess.with_poses(unwound.poses), relative_tolerance=1e-12).graph
+    assert best.poses is not None
+    return best.poses
 
 
 def near_minimum(guess: PoseGraph) -> tuple[Floats | None, bool]:
