@@ -134,6 +134,7 @@ def test_each_case_has_a_seed_of_its_own_that_never_changes():
         ([1e6, 1e6 - 0.5], 1, None),
         ([100, 50, 49, 48.99999], 3, None),
         ([100, 100 + 1e-7], None, 1),
+        ([100, 100 + 2e-11], 1, 1),
         ([100, 200, 300], None, None),
         ([0, 0], 1, 1),
         ([5], None, None),

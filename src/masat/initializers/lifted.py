@@ -12,8 +12,9 @@ from masat.optimizers import optimize
 
 # Iterations of Gauss-Newton: a longer way leads, as like as not, to a local minimum.
 _SOON = 15
-# Of the cost a degree of freedom: a step in a higher rank that promises less is the last.
-_INSIGNIFICANT = 1.5
+# Of the cost: a step in a higher rank that promises less is the last. At 1e-4 half the steps are
+# saved, and some runs end in minima 4 % higher.
+_DECREASE = 1e-5
 
 
 def lifted(graph: PoseGraph, root: int | None = None, *, seed: int = 0) -> PoseGraph:
@@ -35,9 +36,7 @@ def lift(guess: PoseGraph, near: Floats | None, *, seed: int = 0, trusted: bool 
     """Return the poses of the least chordal cost found from a guess, or from what came of it."""
     assert guess.poses is not None
     start = guess.poses if near is None else near
-    freedom = max(1, guess.dof * (len(guess.edges) - len(guess.ids)))
-    decrease = min(1e-3, _INSIGNIFICANT / freedom)
-    solution = relaxation.solve(guess, start, lift=not trusted, decrease=decrease, seed=seed)
+    solution = relaxation.solve(guess, start, lift=not trusted, decrease=_DECREASE, seed=seed)
     if trusted:
         return solution.poses
     unwound = windings.unwind(guess.with_poses(solution.poses))

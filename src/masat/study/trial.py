@@ -15,6 +15,8 @@ from masat.study.worlds import GROUND_TRUTH, load_world
 from masat.worlds import perturb
 
 THRESHOLD = 1e-6
+# Of chi2: a change no larger is rounding, up or down.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -44,14 +46,15 @@ class Trial:
     def success(self, *, relative: bool = True) -> int | None:
         """Return the iteration at which chi2 stood still, or None.
 
-        Relative: 0 <= (before - after) / after < 1e-6, as in g2o; absolute: the change is below
-        1e-6.
+        Relative: 0 <= (before - after) / after < 1e-6, as in g2o, where a rise within rounding
+        counts as 0; absolute: the change is below 1e-6.
         """
         for k in range(1, len(self.chi2)):
             change = self.chi2[k - 1] - self.chi2[k]
             if relative:
                 # An exact fit changes no more, and has no ratio.
-                still = change >= 0 and (change < THRESHOLD * self.chi2[k] or change == 0)
+                small = change < THRESHOLD * self.chi2[k] or change == 0
+                still = change >= -_ROUNDING * self.chi2[k] and small
             else:
                 still = abs(change) < THRESHOLD
             if still:
