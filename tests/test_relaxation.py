@@ -127,6 +127,8 @@ def test_a_ring_twisted_once_is_unravelled():
     assert np.isclose(local.cost, 12 * 2 * (1 - np.cos(np.pi / 6)))
     assert relaxed.gap(local) == np.inf
     assert not relaxed.plausible(twisted(graph))
+    # With these held, no part of the ring is off by half a turn.
+    assert relaxed.plausible(twisted(graph), np.array([4, 8], np.int32))
     solution = relaxation.solve(graph, twisted(graph))
     assert solution.rank > 2
     assert solution.certified

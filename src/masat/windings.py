@@ -37,6 +37,9 @@ _HOPE = 40
 # Radians: errors below this are alike to a turn that goes where the loop bends most; a loop whose
 # error has changed by less need not be tried again; and nodes that moved less are where they were.
 _STRAIGHT = 0.01
+# How many trials at the most: the first divided by the nodes of the graph, but not fewer than the
+# second.
+_WORK, _TRIALS = 1_000_000, 10
 # chi2 this much lower, relatively, is another minimum; as between two solvers.
 _LOWER = 1e-6
 
@@ -104,6 +107,7 @@ def unwind(graph: PoseGraph) -> Unwound:
     poses, turns = graph.poses, 0
     refused: dict[int, float] = {}
     unit = _unit(graph)
+    trials = max(_TRIALS, _WORK // len(graph.ids))
     if next(loops.promising(poses, unit), None) is not None:
         region = _Region(graph, unit)
         moved = True
@@ -114,6 +118,9 @@ def unwind(graph: PoseGraph) -> Unwound:
             for loop in loops.promising(poses, unit):
                 if abs(loop.error - refused.get(loop.edge, np.inf)) < _STRAIGHT:
                     continue
+                if trials == 0:
+                    break
+                trials -= 1
                 beyond = region.turned(poses, chi2, loop.axis, loop.even)
                 if chi2 * (1 - _LOWER) <= beyond[1] < chi2 + _FAR * unit:
                     beyond = region.turned(poses, chi2, loop.axis, bent.response(loop.edge))
