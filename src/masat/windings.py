@@ -70,8 +70,8 @@ class Loop(NamedTuple):
     edge : int
     error : float
         Of its rotation, in radians.
-    axis : ndarray, (1,) or (3,)
-        About which, in the world.
+    axis : ndarray, () or (3,)
+        About which, in the world; in 2D its sign.
     even : ndarray, (n,)
         By how much each node turns for the least change of all rotations.
     """
