@@ -95,7 +95,7 @@ def test_the_certificate_is_that_of_the_dense_matrix(dimension):
     onto = np.tile([1.0] * d + [0.0], n - 1)
     for shift in (1e-6, 1e-3, 0.1, 1.0, 10.0):
         positive = np.linalg.eigvalsh(s + shift * np.diag(onto)).min() > 0
-        gap = _core.lifted_gap(relaxed._matrix, forcing, x[1:].copy(), np.full(n - 1, shift))
+        gap = _core.lifted_gap(relaxed._matrix, forcing, x[1:].copy(), shift)
         assert np.isfinite(gap) == positive
         if positive:
             g = (dense @ x.reshape(n * b, -1))[free]
@@ -127,8 +127,6 @@ def test_a_ring_twisted_once_is_unravelled():
     assert np.isclose(local.cost, 12 * 2 * (1 - np.cos(np.pi / 6)))
     assert relaxed.gap(local) == np.inf
     assert not relaxed.plausible(twisted(graph))
-    # With these held, no part of the ring is off by half a turn.
-    assert relaxed.plausible(twisted(graph), np.array([4, 8], np.int32))
     solution = relaxation.solve(graph, twisted(graph))
     assert solution.rank > 2
     assert solution.certified

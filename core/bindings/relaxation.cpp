@@ -50,15 +50,23 @@ nb::tuple minimise_lifted(const GraphMatrix& matrix, const Stack& forcing, doubl
                         taken);
 }
 
-double lifted_gap(const GraphMatrix& matrix, const Stack& forcing, const Stack& x,
-                  const Vector<double>& shift) {
-  require(shift.shape(0) == x.shape(0), "one shift a node");
+double lifted_gap(const GraphMatrix& matrix, const Stack& forcing, const Stack& x, double shift) {
   double gap = 0;
   with_lifted(matrix, forcing, 0.0, x, [&](auto problem) {
     const nb::gil_scoped_release release;
-    gap = problem.gap({x.data(), x.data() + x.size()}, span_of(shift));
+    gap = problem.gap({x.data(), x.data() + x.size()}, shift);
   });
   return gap;
+}
+
+Array<std::int32_t> weak_nodes(const GraphMatrix& matrix, const Stack& forcing, const Stack& x,
+                               double shift, std::size_t most) {
+  std::vector<std::int32_t> found;
+  with_lifted(matrix, forcing, 0.0, x, [&](auto problem) {
+    const nb::gil_scoped_release release;
+    found = problem.weak({x.data(), x.data() + x.size()}, shift, most);
+  });
+  return as_array(std::move(found));
 }
 
 }  // namespace
@@ -67,6 +75,7 @@ void bind_relaxation(nb::module_& m) {
   m.def("minimise_lifted", &minimise_lifted, "matrix"_a, "forcing"_a, "constant"_a, "start"_a,
         "decrease"_a, "damping"_a, "steps"_a);
   m.def("lifted_gap", &lifted_gap, "matrix"_a, "forcing"_a, "x"_a, "shift"_a);
+  m.def("weak_nodes", &weak_nodes, "matrix"_a, "forcing"_a, "x"_a, "shift"_a, "most"_a);
 }
 
 }  // namespace masat

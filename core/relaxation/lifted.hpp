@@ -105,35 +105,68 @@ class Lifted {
   }
 
   // How far any feasible point may lie below the cost of x: infinite unless S = M - Lambda + shift,
-  // Lambda the multipliers at x and the shift, one a node, on the frames, is positive definite. For
-  // y at x + d,
+  // Lambda the multipliers at x and the shift on the frames, is positive definite. For y at x + d,
   //     cost(y) - cost(x) = 2 <g, d> + <d, S d> - shift |its frames|^2, g = (M - Lambda) x - F,
   // which is least at S d = -g; frames differ by at most 2 in each of their D rows.
-  double gap(const std::vector<double>& x, std::span<const double> shift) {
-    evaluate(x, residual_);
-    find_multipliers(x);
-    GraphMatrix s = matrix_;
-    std::vector<double> damping(s.rows()), gradient = residual_;
-    double below = 0;
+  double gap(const std::vector<double>& x, double shift) {
+    GraphMatrix s = certificate(x);
+    std::vector<double> gradient = residual_;
+    double below = 4.0 * D * shift * nodes_;
     for (std::int32_t k = 0; k < nodes_; ++k) {
-      Eigen::Map<Eigen::Matrix<double, kRows, kRows>> block(s.node_block(k));
-      block.template topLeftCorner<D, D>() -= lambda_[k];
       Eigen::Map<Frame>{&gradient[std::int64_t{k} * kStep]} -= lambda_[k] * frame(x, k);
-      std::fill_n(&damping[std::int64_t{k} * kRows], D, shift[k]);
-      below += 4.0 * D * shift[k];
     }
-    if (s.factorize(damping) >= 0) return std::numeric_limits<double>::infinity();
+    if (s.factorize(on_frames(shift)) >= 0) return std::numeric_limits<double>::infinity();
     std::vector<double> solved = gradient;
     s.solve(solved, P);
     for (std::size_t i = 0; i < solved.size(); ++i) below += gradient[i] * solved[i];
     return below;
   }
 
+  // Where S of above fails to be positive definite: nodes that, held still with their neighbours, let
+  // it be so; at most `most` and one more.
+  std::vector<std::int32_t> weak(const std::vector<double>& x, double shift, std::size_t most) {
+    GraphMatrix s = certificate(x);
+    std::vector<double> damping = on_frames(shift);
+    const auto hold = [&](std::int32_t k) {
+      const double trace = Eigen::Map<Eigen::Matrix<double, kRows, kRows>>(s.node_block(k)).trace();
+      std::fill_n(&damping[std::int64_t{k} * kRows], kRows, kHeld * std::abs(trace));
+    };
+    std::vector<std::int32_t> found;
+    std::int32_t broken = s.factorize(damping);
+    while (broken >= 0 && found.size() <= most) {
+      found.push_back(broken);
+      hold(broken);
+      for (const auto& near : s.elimination()->adjacency().neighbours(broken)) hold(near.node);
+      broken = s.factorize(damping);
+    }
+    return found;
+  }
+
  private:
   static constexpr double kGrowth = 3, kDecay = 10, kForgotten = 0.5, kAccepted = 0.05, kGood = 0.5,
-                          kUndamped = 0.3, kNothing = 1e-3;
+                          kUndamped = 0.3, kNothing = 1e-3, kHeld = 1e6;
   using Mixed = Eigen::Matrix<double, kDof, kDof>;
   using Turns = Eigen::Matrix<double, P, Frames::kDof>;
+
+  // M - Lambda, at x; sets Lambda, and the residual.
+  GraphMatrix certificate(const std::vector<double>& x) {
+    evaluate(x, residual_);
+    find_multipliers(x);
+    GraphMatrix s = matrix_;
+    for (std::int32_t k = 0; k < nodes_; ++k) {
+      Eigen::Map<Eigen::Matrix<double, kRows, kRows>> block(s.node_block(k));
+      block.template topLeftCorner<D, D>() -= lambda_[k];
+    }
+    return s;
+  }
+
+  std::vector<double> on_frames(double shift) const {
+    std::vector<double> out(matrix_.rows());
+    for (std::int32_t k = 0; k < nodes_; ++k) {
+      std::fill_n(&out[std::int64_t{k} * kRows], D, shift);
+    }
+    return out;
+  }
 
   Eigen::Map<const Frame> frame(const std::vector<double>& x, std::int32_t k) const {
     return Eigen::Map<const Frame>(&x[std::int64_t{k} * kStep]);

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from masat import relaxation, windings
+from masat import relaxation
 from masat.arrays import Floats
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
+from masat.minima import lower_minimum
 from masat.optimizers import optimize
 
 # chi2 this much lower, relatively, is another minimum; as between two solvers.
@@ -65,8 +66,8 @@ def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int 
     graph : PoseGraph
         A graph with the poses in question.
     lift : bool
-        Whether to go to higher ranks where the poses' own leaves a gap, and to try turns around
-        weak loops (`masat.windings`): dear, and the way to a better minimum if there is one.
+        Whether to go to higher ranks where the poses' own leaves a gap, and to look there for a
+        lower minimum (`masat.minima`): dear.
     seed : int
         Of the noise that opens higher ranks.
     threads : int
@@ -89,9 +90,7 @@ def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int 
     other = optimize(graph.with_poses(solution.poses), threads=threads)
     best = min(own, other, key=lambda result: result.chi2)
     if lift and not solution.certified:
-        unwound = windings.unwind(best.graph)
-        if unwound.turns:
-            best = optimize(graph.with_poses(unwound.poses), threads=threads)
+        best = min(best, lower_minimum(best.graph, seed=seed), key=lambda result: result.chi2)
     same = _SAME * best.chi2 + solution.nothing
     lower = own.initial_chi2 - best.chi2 > same
     certified = solution.certified and not lower and other.chi2 - best.chi2 <= same

@@ -26,10 +26,10 @@ TIGHT = 1e-3
 _SHIFTS = (1e-8, TIGHT / 4)
 # How far below zero, as a share of the median weight of a rotation, the certificate's eigenvalues
 # may lie at a plausible minimum: at .1 m and rad of noise those of the study's global minima lie
-# within the first. Where the weak loops have been tried one by one (`masat.windings`), and their
-# ends held, the second takes few local minima for global ones.
-_PLAUSIBLE, _PLAUSIBLE_UNWOUND = 1e-3, 0.02
-_HELD = 1e6
+# within the first. Farther than the second they mark the places where minima differ.
+_PLAUSIBLE, _WEAK = 1e-3, 0.02
+# Places that are told one by one: a factorisation each.
+_MOST_PLACES = 100
 _POLISHING = 60
 # The rank to lift to: in 2D one column more leaves local minima that two do not; in 3D the blocks
 # of a second one would be too large.
@@ -155,28 +155,30 @@ class Relaxation:
             return 0.0
         d = self.graph.dimension
         share = max(point.cost, self.nothing) / (len(self._free) * (d + 1))
+        own = np.ascontiguousarray(point.unknowns[self._free])
         forcing = self._assemble(point.unknowns)
-        shifts = (np.full(len(self._free), shift * share) for shift in _SHIFTS)
-        gaps = (self._gap(point.unknowns, forcing, shift) for shift in shifts)
+        gaps = (_core.lifted_gap(self._matrix, forcing, own, shift * share) for shift in _SHIFTS)
         return next((gap for gap in gaps if np.isfinite(gap)), np.inf)
 
-    def _gap(self, x: Floats, forcing: Floats, shift: Floats) -> float:
-        return _core.lifted_gap(self._matrix, forcing, np.ascontiguousarray(x[self._free]), shift)
+    def plausible(self, poses: Floats) -> bool:
+        """Whether a minimum looks global, without a proof: its certificate fails by little."""
+        return len(self._failing(poses, _PLAUSIBLE, 0)) == 0
 
-    def plausible(self, poses: Floats, tried: Indices | None = None) -> bool:
-        """Whether a minimum looks global, without a proof: its certificate fails by little.
+    def weak_places(self, poses: Floats) -> Indices:
+        """Return places in `ids`, one or more wherever the certificate of a minimum fails.
 
-        If its weak loops have been tried, and are the places of nodes in them, it may fail there,
-        and by more.
+        All of the free nodes if there are too many to tell.
         """
+        found = self._failing(poses, _WEAK, _MOST_PLACES)
+        return self._free if len(found) > _MOST_PLACES else self._free[found]
+
+    def _failing(self, poses: Floats, share: float, most: int) -> Indices:
         if len(self._free) == 0:
-            return True
-        share = _PLAUSIBLE if tried is None else _PLAUSIBLE_UNWOUND
-        shift = np.full(len(self.graph.ids), share * self._scale)
-        if tried is not None:
-            shift[tried] = _HELD * self._scale
+            return self._free
         x = self.unknowns(poses, self.graph.dimension)
-        return bool(np.isfinite(self._gap(x, self._assemble(x), shift[self._free])))
+        own = np.ascontiguousarray(x[self._free])
+        shift = share * self._scale
+        return _core.weak_nodes(self._matrix, self._assemble(x), own, shift, most)
 
     def poses(self, x: Floats) -> Floats:
         """Return the poses nearest to unknowns of any rank, (n, 3) or (n, 7)."""

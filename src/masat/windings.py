@@ -14,10 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from masat import _core, lie, quadratic
-from masat.arrays import Flags, Floats, Ids, Indices
+from masat.arrays import Floats
 from masat.graph import PoseGraph
 from masat.optimizers import Iteration, optimize
 from masat.optimizers.equations import edge_chi2, normal_equations
+from masat.optimizers.termination import Report
+from masat.regions import Surroundings
 
 _TURN = 2 * np.pi
 # Of a turn, what an edge may keep for itself: with half of it, it is back where it was.
@@ -53,13 +55,10 @@ class Unwound(NamedTuple):
         At the lowest minimum met; those given if no loop was worth trying.
     turns : int
         How many were taken on the way.
-    refused : ndarray of int
-        Places in `ids` of the ends of an edge of each loop that promised more than it kept.
     """
 
     poses: Floats
     turns: int
-    refused: Indices
 
 
 class Loop(NamedTuple):
@@ -107,9 +106,9 @@ def unwind(graph: PoseGraph) -> Unwound:
     poses, turns = graph.poses, 0
     refused: dict[int, float] = {}
     unit = _unit(graph)
-    trials = max(_TRIALS, _WORK // len(graph.ids))
+    left = max(_TRIALS, _WORK // len(graph.ids))
     if next(loops.promising(poses, unit), None) is not None:
-        region = _Region(graph, unit)
+        trials = _Trials(graph, unit)
         moved = True
         while moved:
             moved = False
@@ -118,17 +117,17 @@ def unwind(graph: PoseGraph) -> Unwound:
             for loop in loops.promising(poses, unit):
                 if abs(loop.error - refused.get(loop.edge, np.inf)) < _STRAIGHT:
                     continue
-                if trials == 0:
+                if left == 0:
                     break
-                trials -= 1
-                beyond = region.turned(poses, chi2, loop.axis, loop.even)
+                left -= 1
+                beyond = trials.turned(poses, chi2, loop.axis, loop.even)
                 if chi2 * (1 - _LOWER) <= beyond[1] < chi2 + _FAR * unit:
-                    beyond = region.turned(poses, chi2, loop.axis, bent.response(loop.edge))
+                    beyond = trials.turned(poses, chi2, loop.axis, bent.response(loop.edge))
                 if beyond[1] < chi2 * (1 - _LOWER):
                     (poses, chi2), turns, moved = beyond, turns + 1, True
                 else:
                     refused[loop.edge] = loop.error
-    return Unwound(poses, turns, np.unique(graph.edge_indices[list(refused)]))
+    return Unwound(poses, turns)
 
 
 def _unit(graph: PoseGraph) -> float:
@@ -138,9 +137,11 @@ def _unit(graph: PoseGraph) -> float:
     return min(1.0, float(edge_chi2(graph).sum()) / freedom) if freedom > 0 else 1.0
 
 
-def _minimum(graph: PoseGraph, poses: Floats) -> tuple[Floats, float]:
+def _minimum(graph: PoseGraph, poses: Floats, report: Report | None = None) -> tuple[Floats, float]:
     """Return the poses of the minimum that an optimiser finds from some, and chi2 there."""
-    result = optimize(graph.with_poses(poses), relative_tolerance=1e-8, max_iterations=50)
+    result = optimize(
+        graph.with_poses(poses), relative_tolerance=1e-8, max_iterations=50, report=report
+    )
     assert result.graph.poses is not None
     return result.graph.poses, result.chi2
 
@@ -228,16 +229,13 @@ def _turn(poses: Floats, axis: Floats, angles: Floats) -> Floats:
     return lie.retract(poses, steps)
 
 
-class _Region:
+class _Trials:
     """Tries turns on the nodes around a loop, the others held still."""
 
     def __init__(self, graph: PoseGraph, unit: float) -> None:
         self._graph = graph
         self._nearly = _NEARLY * unit
-        m, n = len(graph.edges), len(graph.ids)
-        ends = graph.edge_indices.T.ravel()
-        self._edges = np.argsort(ends, kind="stable") % m
-        self._start = np.searchsorted(np.sort(ends), np.arange(n + 1))
+        self._surroundings = Surroundings(graph)
         self._labels = graph.components
         anchors = graph.index(graph.anchors)
         held = np.bincount(self._labels[anchors], minlength=int(self._labels.max()) + 1)
@@ -260,30 +258,18 @@ class _Region:
         apart = np.abs(angles - _TURN * np.round(angles / _TURN)) > _STILL
         if not apart.any():
             return poses, chi2
-        inside = self._around(apart)
-        edges = self._edges_at(inside)
-        nodes = np.unique(graph.edge_indices[edges]).astype(np.int64)
-        start = _turn(poses[nodes], axis, np.where(inside[nodes], angles[nodes], 0.0))
-        part = PoseGraph(
-            ids=nodes,
-            poses=start,
-            edges=graph.edge_indices[edges].astype(np.int64),
-            measurements=np.ascontiguousarray(graph.measurements[edges]),
-            information=np.ascontiguousarray(graph.information[edges]),
-            fixed=nodes[~inside[nodes]],
-        )
-        before = normal_equations(part).chi2(poses[nodes])
-        last = [np.inf]
-
-        def hopeless(step: Iteration) -> bool:
-            gained, last[0] = last[0] - step.chi2, step.chi2
-            return step.chi2 - before - self._nearly > _HOPE * gained
-
+        inside = self._surroundings.around(apart)
+        inside[self._held] = False
+        part = self._surroundings.region(poses, inside).graph
+        assert part.poses is not None
+        nodes = part.ids
+        start = _turn(part.poses, axis, np.where(inside[nodes], angles[nodes], 0.0))
+        before = normal_equations(part).chi2(part.poses)
         result = optimize(
             part.with_poses(quadratic.settle(part, start)),
             max_iterations=30,
             absolute_tolerance=self._nearly / 500,
-            report=hopeless,
+            report=_Hope(before + self._nearly),
         )
         assert result.graph.poses is not None
         out = poses.copy()
@@ -296,19 +282,19 @@ class _Region:
             back = lie.compose(poses[gauge[0]], lie.inverse(out[gauge[0]]))
             out[own] = lie.compose(back, out[own])
             out[gauge] = poses[gauge]
-        undecided = chi2 * (1 - _LOWER) <= after < chi2 + self._nearly
-        return _minimum(graph, out) if undecided else (out, after)
+        if chi2 * (1 - _LOWER) <= after < chi2 + self._nearly:
+            # Nearly as low: with all nodes free it may be lower.
+            return _minimum(graph, out, _Hope(chi2 * (1 - _LOWER), after))
+        return out, after
 
-    def _edges_at(self, nodes: Flags) -> Ids:
-        """Return the edges that touch some nodes."""
-        places = np.flatnonzero(nodes)
-        count = self._start[places + 1] - self._start[places]
-        first = self._start[places] - (np.cumsum(count) - count)
-        return np.unique(self._edges[np.repeat(first, count) + np.arange(count.sum())])
 
-    def _around(self, nodes: Flags) -> Flags:
-        """Return the nodes that may move with some: they and their neighbours, but for the held."""
-        out = nodes.copy()
-        out[self._graph.edge_indices[self._edges_at(nodes)]] = True
-        out[self._held] = False
-        return out
+class _Hope:
+    """Stops an optimiser where many more steps like the last would not bring chi2 below a mark."""
+
+    def __init__(self, mark: float, chi2: float = np.inf) -> None:
+        self._mark, self._last = mark, chi2
+
+    def __call__(self, step: Iteration) -> bool:
+        """Return whether to stop after an iteration."""
+        gained, self._last = self._last - step.chi2, step.chi2
+        return step.chi2 - self._mark > _HOPE * gained

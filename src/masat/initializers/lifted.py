@@ -2,66 +2,56 @@
 
 from __future__ import annotations
 
-from masat import relaxation, windings
 from masat.arrays import Floats
-from masat.errors import OptimizationError
+from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
 from masat.initializers.roots import rooted
-from masat.optimizers import optimize
+from masat.minima import lower_minimum
+from masat.optimizers import Result, optimize
+from masat.relaxation import Relaxation
 
 # Iterations of Gauss-Newton: a longer way leads, as like as not, to a local minimum.
 _SOON = 15
-# Of the cost: a step in a higher rank that promises less is the last. At 1e-4 half the steps are
-# saved, and some runs end in minima 4 % higher.
-_DECREASE = 1e-5
+# Of chi2: what Gauss-Newton's last iteration changes at the most.
+_NEAR = 1e-4
 
 
 def lifted(graph: PoseGraph, root: int | None = None, *, seed: int = 0) -> PoseGraph:
     """Solve the chordal problem to its global minimum, in a higher rank where that takes one.
 
-    Begins at the chordal start, and at what Gauss-Newton soon makes of it. Where the minimum there
-    neither is certified nor looks global, its frames are lifted (`masat.relaxation.solve`), and
-    what is rounded back is tried for another turn around its weak loops (`masat.windings`).
-    Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Dellaert, Rosen, Wu, Mahony,
-    Carlone, Shonan rotation averaging, ECCV 2020.
+    Begins at the chordal start, optimised. Where the certificate fails there, the frames around are
+    lifted, and what is rounded back is tried for another turn around its weak loops
+    (`masat.minima`). Ends at the minimum of the chordal cost, or of chi2 if doubt was left. Sources:
+    Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Dellaert, Rosen, Wu, Mahony, Carlone,
+    Shonan rotation averaging, ECCV 2020.
     """
     guess = chordal(graph)
-    near, trusted = near_minimum(guess)
-    poses = lift(guess, near, seed=seed, trusted=trusted)
+    poses, trusted = best_minimum(guess, seed=seed)
+    if trusted:
+        relaxed = Relaxation(guess)
+        poses = relaxed.poses(relaxed.polish(poses).unknowns)
     return rooted(guess, poses, root, [])
 
 
-def lift(guess: PoseGraph, near: Floats | None, *, seed: int = 0, trusted: bool = False) -> Floats:
-    """Return the poses of the least chordal cost found from a guess, or from what came of it."""
-    assert guess.poses is not None
-    start = guess.poses if near is None else near
-    solution = relaxation.solve(guess, start, lift=not trusted, decrease=_DECREASE, seed=seed)
-    if trusted:
-        return solution.poses
-    unwound = windings.unwind(guess.with_poses(solution.poses))
-    # From the very minimum: Gauss-Newton may leave even the surroundings.
-    best = optimize(guess.with_poses(unwound.poses), relative_tolerance=1e-12).graph
-    assert best.poses is not None
-    return best.poses
+def best_minimum(guess: PoseGraph, *, seed: int = 0) -> tuple[Floats, bool]:
+    """Return the poses of the lowest minimum found from a guess.
 
-
-def near_minimum(guess: PoseGraph) -> tuple[Floats | None, bool]:
-    """Return the best minimum soon found from a guess, if any, and whether it looks global."""
-    near = _soon_converged(guess)
-    if near is None:
-        return None, False
-    relaxed = relaxation.Relaxation(guess)
-    if relaxed.plausible(near):
-        return near, True
-    unwound = windings.unwind(guess.with_poses(near))
-    return unwound.poses, relaxed.plausible(unwound.poses, unwound.refused)
-
-
-def _soon_converged(guess: PoseGraph) -> Floats | None:
-    """Return the poses to which Gauss-Newton soon converges, or None."""
+    And whether that to which the guess led at once looked global.
+    """
     try:
-        result = optimize(guess, "gauss_newton", max_iterations=_SOON, relative_tolerance=1e-4)
-    except OptimizationError:
-        return None
-    return result.graph.poses if result.converged else None
+        near = _near(guess)
+        assert near.graph.poses is not None
+        if Relaxation(guess).plausible(near.graph.poses):
+            return near.graph.poses, True
+        poses = lower_minimum(near.graph, seed=seed).graph.poses
+    except OptimizationError as error:
+        raise InitializationError(f"this start has to optimise, and cannot: {error}") from error
+    assert poses is not None
+    return poses, False
+
+
+def _near(guess: PoseGraph) -> Result:
+    """Return the minimum to which a guess leads, to `_NEAR`."""
+    soon = optimize(guess, "gauss_newton", max_iterations=_SOON, relative_tolerance=_NEAR)
+    return soon if soon.converged else optimize(guess, relative_tolerance=_NEAR)

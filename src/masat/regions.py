@@ -1,0 +1,68 @@
+"""Parts of a graph, with the rest held still."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from masat.arrays import Flags, Floats, Ids
+from masat.graph import PoseGraph
+
+
+class Region(NamedTuple):
+    """Some nodes of a graph, free to move, and those that edges join to them, held still.
+
+    Attributes
+    ----------
+    graph : PoseGraph
+        Its ids are the places of its nodes in the whole.
+    inside : ndarray of bool
+        Which of its nodes are free.
+    """
+
+    graph: PoseGraph
+    inside: Flags
+
+
+class Surroundings:
+    """Tells which edges and nodes lie around some nodes of a graph, in time linear in these."""
+
+    def __init__(self, graph: PoseGraph) -> None:
+        self.graph = graph
+        m, n = len(graph.edges), len(graph.ids)
+        ends = graph.edge_indices.T.ravel()
+        order = np.argsort(ends, kind="stable")
+        self._edges = order % max(m, 1)
+        self._start = np.searchsorted(ends[order], np.arange(n + 1))
+
+    def edges_at(self, nodes: Flags) -> Ids:
+        """Return the edges that touch some nodes, ascending."""
+        places = np.flatnonzero(nodes)
+        count = self._start[places + 1] - self._start[places]
+        first = self._start[places] - (np.cumsum(count) - count)
+        return np.unique(self._edges[np.repeat(first, count) + np.arange(count.sum())])
+
+    def around(self, nodes: Flags, steps: int = 1) -> Flags:
+        """Return the nodes that lie at most so many edges from some."""
+        out = nodes.copy()
+        for _ in range(steps):
+            out[self.graph.edge_indices[self.edges_at(out)]] = True
+        return out
+
+    def region(self, poses: Floats, inside: Flags) -> Region:
+        """Return the region of some nodes, at poses of the whole graph."""
+        graph = self.graph
+        edges = self.edges_at(inside)
+        nodes = np.unique(graph.edge_indices[edges]).astype(np.int64)
+        return Region(
+            PoseGraph(
+                ids=nodes,
+                poses=poses[nodes],
+                edges=graph.edge_indices[edges].astype(np.int64),
+                measurements=np.ascontiguousarray(graph.measurements[edges]),
+                information=np.ascontiguousarray(graph.information[edges]),
+                fixed=nodes[~inside[nodes]],
+            ),
+            inside[nodes],
+        )
