@@ -11,6 +11,7 @@ from masat.optimizers import optimize
 from masat.optimizers.equations import edge_chi2
 from masat.regions import Region, Surroundings
 from masat.relaxation import Relaxation
+from masat.windings import nodes_of_weak_loops
 
 # Edges from a place where the certificate fails: what lies no farther is lifted.
 _REACH = 6
@@ -38,14 +39,14 @@ def lift_weak_places(graph: PoseGraph, *, seed: int = 0) -> Floats:
     ndarray, (n, 3) or (n, 7)
     """
     assert graph.poses is not None
-    places = Relaxation(graph).weak_places(graph.poses)
-    if len(places) == 0:
-        return graph.poses
     surroundings = Surroundings(graph)
     inside = np.zeros(len(graph.ids), np.bool_)
-    inside[places] = True
+    inside[Relaxation(graph).weak_places(graph.poses)] = True
     inside = surroundings.around(inside, _REACH)
+    inside |= surroundings.around(nodes_of_weak_loops(graph))
     inside[graph.index(graph.anchors)] = False
+    if not inside.any():
+        return graph.poses
     region = surroundings.region(graph.poses, inside)
     lifted = _lifted(region.graph, seed)
     lower = _where_lower(region, lifted)

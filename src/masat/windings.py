@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from masat import _core, lie, quadratic
-from masat.arrays import Floats
+from masat.arrays import Flags, Floats
 from masat.graph import PoseGraph
 from masat.optimizers import Iteration, optimize
 from masat.optimizers.equations import edge_chi2, normal_equations
@@ -33,7 +33,9 @@ _SHARED = 0.5
 _STILL = 0.2
 # Such units above the minimum: up to the first, all nodes together are asked whether a turn pays;
 # beyond the second, another way of spreading the turn is not worth a try.
-_NEARLY, _FAR = 5.0, 25.0
+_NEARLY, _FAR = 5.0, 80.0
+# Of the nodes of a graph: loops that turn more are not worth lifting.
+_LONG = 0.05
 # A trial ends where so many more steps like the last would not bring it near.
 _HOPE = 40
 # Radians: errors below this are alike to a turn that goes where the loop bends most; a loop whose
@@ -128,6 +130,21 @@ def unwind(graph: PoseGraph) -> Unwound:
                 else:
                     refused[loop.edge] = loop.error
     return Unwound(poses, turns)
+
+
+def nodes_of_weak_loops(graph: PoseGraph) -> Flags:
+    """Return which nodes another turn around one of the loops that promise something would turn.
+
+    Loops of more than `_LONG` of the nodes do not count.
+    """
+    assert graph.poses is not None
+    nodes = np.zeros(len(graph.ids), np.bool_)
+    for loop in _Loops(graph).promising(graph.poses, _unit(graph)):
+        own = graph.components == graph.components[graph.edge_indices[loop.edge, 0]]
+        apart = _apart(_stilled(loop.even, own))
+        if np.count_nonzero(apart) <= _LONG * len(nodes):
+            nodes |= apart
+    return nodes
 
 
 def _unit(graph: PoseGraph) -> float:
@@ -229,6 +246,17 @@ def _turn(poses: Floats, axis: Floats, angles: Floats) -> Floats:
     return lie.retract(poses, steps)
 
 
+def _stilled(angles: Floats, own: Flags) -> Floats:
+    """Return angles about the mean of some nodes, so that as many as possible hold still."""
+    return np.where(own, angles - np.angle(np.exp(1j * angles[own]).mean()), 0.0)
+
+
+def _apart(angles: Floats) -> Flags:
+    """Return which nodes angles turn away from where they are."""
+    apart: Flags = np.abs(angles - _TURN * np.round(angles / _TURN)) > _STILL
+    return apart
+
+
 class _Trials:
     """Tries turns on the nodes around a loop, the others held still."""
 
@@ -252,10 +280,8 @@ class _Trials:
         label = self._labels[np.argmax(own)]
         gauge = self._gauge[self._labels[self._gauge] == label]
         if len(gauge):
-            # As many nodes as possible are to hold still.
-            own = self._labels == label
-            angles = np.where(own, angles - np.angle(np.exp(1j * angles[own]).mean()), 0.0)
-        apart = np.abs(angles - _TURN * np.round(angles / _TURN)) > _STILL
+            angles = _stilled(angles, self._labels == label)
+        apart = _apart(angles)
         if not apart.any():
             return poses, chi2
         inside = self._surroundings.around(apart)
