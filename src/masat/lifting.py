@@ -1,4 +1,4 @@
-"""Lifting a minimum where its certificate fails, and only there."""
+"""Lifting poses to a higher rank and back: all of them, or those that leave doubt."""
 
 from __future__ import annotations
 
@@ -19,13 +19,43 @@ _REACH = 6
 _DECREASE = 1e-5
 
 
+def lift(graph: PoseGraph, *, seed: int = 0) -> Floats:
+    """Return the poses of a minimum of chi2 that is reached by way of a higher rank.
+
+    Of the chordal cost (`masat.relaxation`), whose minimum there is rounded and optimised. Where
+    memory does not allow the higher rank, the poses of the graph are optimised as they are.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        A graph with poses.
+    seed : int
+        Of the noise that opens the higher rank.
+
+    Returns
+    -------
+    ndarray, (n, 3) or (n, 7)
+    """
+    assert graph.poses is not None
+    relaxed = Relaxation(graph)
+    rounded = graph.poses
+    if relaxed.can_lift():
+        x = relaxed.unknowns(graph.poses, graph.dimension)
+        x = relaxed.lift(x, np.random.default_rng(seed))
+        top = relaxed.minimise(x, decrease=_DECREASE, damping=30.0)
+        rounded = quadratic.settle(graph, relaxed.poses(top.unknowns))
+    result = optimize(graph.with_poses(rounded), relative_tolerance=1e-8, max_iterations=50)
+    assert result.graph.poses is not None
+    return result.graph.poses
+
+
 def lift_weak_places(graph: PoseGraph, *, seed: int = 0) -> Floats:
     """Go from a minimum of chi2 to a lower one, in a higher rank where the certificate fails.
 
     The matrix of the certificate (`masat.relaxation`) has few negative eigenvalues at a good
-    minimum, and each belongs to few nodes. These and what lies around them are lifted, the rest
-    held still, and rounded and optimised again. Of each connected part the poses of the lower chi2
-    stand.
+    minimum, and each belongs to few nodes. These, what lies around them, and the weak loops
+    (`masat.windings`) are lifted, the rest held still. Of each connected part the poses of the
+    lower chi2 stand.
 
     Parameters
     ----------
@@ -48,26 +78,11 @@ def lift_weak_places(graph: PoseGraph, *, seed: int = 0) -> Floats:
     if not inside.any():
         return graph.poses
     region = surroundings.region(graph.poses, inside)
-    lifted = _lifted(region.graph, seed)
+    lifted = lift(region.graph, seed=seed)
     lower = _where_lower(region, lifted)
     poses = graph.poses.copy()
     poses[region.graph.ids[lower]] = lifted[lower]
     return poses
-
-
-def _lifted(graph: PoseGraph, seed: int) -> Floats:
-    """Return the poses at the minimum that is reached by way of a higher rank."""
-    assert graph.poses is not None
-    relaxed = Relaxation(graph)
-    if not relaxed.can_lift():
-        return graph.poses
-    x = relaxed.unknowns(graph.poses, graph.dimension)
-    x = relaxed.lift(x, np.random.default_rng(seed))
-    top = relaxed.minimise(x, decrease=_DECREASE, damping=30.0)
-    rounded = quadratic.settle(graph, relaxed.poses(top.unknowns))
-    result = optimize(graph.with_poses(rounded), relative_tolerance=1e-8, max_iterations=50)
-    assert result.graph.poses is not None
-    return result.graph.poses
 
 
 def _where_lower(region: Region, poses: Floats) -> Indices:

@@ -35,7 +35,7 @@ _STILL = 0.2
 # beyond the second, another way of spreading the turn is not worth a try.
 _NEARLY, _FAR = 5.0, 80.0
 # Of the nodes of a graph: loops that turn more are not worth lifting.
-_LONG = 0.05
+_LONG = 0.3
 # A trial ends where so many more steps like the last would not bring it near.
 _HOPE = 40
 # Radians: errors below this are alike to a turn that goes where the loop bends most; a loop whose

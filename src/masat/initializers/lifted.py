@@ -7,22 +7,22 @@ from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
 from masat.initializers.roots import rooted
+from masat.lifting import lift
 from masat.minima import lower_minimum
-from masat.optimizers import Result, optimize
+from masat.optimizers import optimize
 from masat.relaxation import Relaxation
 
 # Iterations of Gauss-Newton: a longer way leads, as like as not, to a local minimum.
 _SOON = 15
-# Of chi2: what Gauss-Newton's last iteration changes at the most.
-_NEAR = 1e-4
 
 
 def lifted(graph: PoseGraph, root: int | None = None, *, seed: int = 0) -> PoseGraph:
     """Solve the chordal problem to its global minimum, in a higher rank where that takes one.
 
-    Begins at the chordal start, optimised. Where the certificate fails there, the frames around are
-    lifted, and what is rounded back is tried for another turn around its weak loops
-    (`masat.minima`). Ends at the minimum of the chordal cost, or of chi2 if doubt was left. Sources:
+    Begins at the chordal start, to which Gauss-Newton soon finds a minimum; else all frames are
+    lifted. Where the minimum does not look global, lower ones are sought around the places that
+    leave doubt (`masat.minima`). Ends at the minimum of the chordal cost, or of chi2 if doubt was
+    left. Sources:
     Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Dellaert, Rosen, Wu, Mahony, Carlone,
     Shonan rotation averaging, ECCV 2020.
     """
@@ -40,18 +40,18 @@ def best_minimum(guess: PoseGraph, *, seed: int = 0) -> tuple[Floats, bool]:
     And whether that to which the guess led at once looked global.
     """
     try:
-        near = _near(guess)
-        assert near.graph.poses is not None
-        if Relaxation(guess).plausible(near.graph.poses):
-            return near.graph.poses, True
-        poses = lower_minimum(near.graph, seed=seed).graph.poses
+        near = _near(guess, seed)
+        assert near.poses is not None
+        if Relaxation(guess).plausible(near.poses):
+            return near.poses, True
+        poses = lower_minimum(near, seed=seed).graph.poses
     except OptimizationError as error:
         raise InitializationError(f"this start has to optimise, and cannot: {error}") from error
     assert poses is not None
     return poses, False
 
 
-def _near(guess: PoseGraph) -> Result:
-    """Return the minimum to which a guess leads, to `_NEAR`."""
-    soon = optimize(guess, "gauss_newton", max_iterations=_SOON, relative_tolerance=_NEAR)
-    return soon if soon.converged else optimize(guess, relative_tolerance=_NEAR)
+def _near(guess: PoseGraph, seed: int) -> PoseGraph:
+    """Return the graph at a minimum: where Gauss-Newton soon leads, or else a lifted one."""
+    soon = optimize(guess, "gauss_newton", max_iterations=_SOON, relative_tolerance=1e-4)
+    return soon.graph if soon.converged else guess.with_poses(lift(guess, seed=seed))
