@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from masat import relaxation
 from masat.arrays import Floats
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
@@ -10,7 +11,6 @@ from masat.initializers.roots import rooted
 from masat.lifting import lift
 from masat.minima import lower_minimum
 from masat.optimizers import optimize
-from masat.relaxation import Relaxation
 
 # Iterations of Gauss-Newton: a longer way leads, as like as not, to a local minimum.
 _SOON = 15
@@ -29,8 +29,7 @@ def lifted(graph: PoseGraph, root: int | None = None, *, seed: int = 0) -> PoseG
     guess = chordal(graph)
     poses, trusted = best_minimum(guess, seed=seed)
     if trusted:
-        relaxed = Relaxation(guess)
-        poses = relaxed.poses(relaxed.polish(poses).unknowns)
+        poses = relaxation.solve(guess, poses, lift=False).poses
     return rooted(guess, poses, root, [])
 
 
@@ -42,7 +41,7 @@ def best_minimum(guess: PoseGraph, *, seed: int = 0) -> tuple[Floats, bool]:
     try:
         near = _near(guess, seed)
         assert near.poses is not None
-        if Relaxation(guess).plausible(near.poses):
+        if relaxation.Relaxation(guess).plausible(near.poses):
             return near.poses, True
         poses = lower_minimum(near, seed=seed).graph.poses
     except OptimizationError as error:
