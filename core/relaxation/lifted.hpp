@@ -122,8 +122,8 @@ class Lifted {
     return below;
   }
 
-  // Where S of above fails to be positive definite: nodes that, held still with their neighbours, let
-  // it be so; at most `most` and one more.
+  // Where S of above fails to be positive definite: nodes that, held still with their neighbours,
+  // let it be so; at most `most` and one more.
   std::vector<std::int32_t> weak(const std::vector<double>& x, double shift, std::size_t most) {
     GraphMatrix s = certificate(x);
     std::vector<double> damping = on_frames(shift);

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from masat.arrays import Floats
 from masat.graph import PoseGraph
 from masat.lifting import lift_weak_places
 from masat.optimizers import Result, optimize
@@ -32,18 +31,19 @@ def lower_minimum(graph: PoseGraph, *, seed: int = 0) -> Result:
     Result
         Of the optimiser, at the lowest minimum met.
     """
-    best = optimize(graph, relative_tolerance=1e-8)
+    best = _minimum(graph)
     for _ in range(_ROUNDS):
-        lifted = optimize(
-            graph.with_poses(lift_weak_places(best.graph, seed=seed)), relative_tolerance=1e-8
-        )
-        lower = lifted.chi2 < best.chi2 * (1 - _LOWER)
-        if lower:
+        lifted = _minimum(graph.with_poses(lift_weak_places(best.graph, seed=seed)))
+        if lifted.chi2 < best.chi2 * (1 - _LOWER):
             best = lifted
             continue
         unwound = unwind(best.graph)
         if unwound.turns == 0:
             break
-        best = optimize(graph.with_poses(unwound.poses), relative_tolerance=1e-8)
+        best = _minimum(graph.with_poses(unwound.poses))
     # Gauss-Newton may leave even the surroundings of a minimum, but not the minimum.
     return optimize(best.graph, relative_tolerance=1e-12)
+
+
+def _minimum(graph: PoseGraph) -> Result:
+    return optimize(graph, relative_tolerance=1e-8)

@@ -1,0 +1,150 @@
+"""Ways from a minimum to lower ones: lifting where the certificate fails, and all together."""
+
+import numpy as np
+import pytest
+from random_graphs import random_graph
+from test_relaxation import ring, twisted
+from test_windings import ring as polygon
+
+import masat
+from masat import PoseGraph, relaxation
+from masat.lifting import lift, lift_weak_places
+from masat.minima import lower_minimum
+from masat.regions import Surroundings
+from masat.relaxation import Relaxation
+from masat.study.names import Case
+from masat.study.trial import guess_of, instance
+
+CHAIN = 30
+
+
+def two_rings(first_twisted=True, second_twisted=True):
+    """Two rings of twelve nodes on one spot, a chain of thirty nodes between them."""
+    one = ring(12)
+    last = 12 + CHAIN
+    chain = [(k, k + 1) for k in range(12, last)]
+    edges = [*one.edges, (0, 12), *chain, *(one.edges + last)]
+    poses = np.zeros((24 + CHAIN, 3))
+    if first_twisted:
+        poses[:12] = twisted(one)
+    if second_twisted:
+        poses[last:] = twisted(one)
+    return PoseGraph.from_arrays(edges, np.zeros((len(edges), 3)), poses=poses, fixed=[20])
+
+
+def mask(count, nodes):
+    out = np.zeros(count, np.bool_)
+    out[nodes] = True
+    return out
+
+
+def test_surroundings_of_a_chain():
+    chain = PoseGraph.from_arrays([(k, k + 1) for k in range(9)], np.zeros((9, 3)))
+    around = Surroundings(chain)
+    assert around.edges_at(mask(10, [4])).tolist() == [3, 4]
+    assert np.flatnonzero(around.around(mask(10, [4]))).tolist() == [3, 4, 5]
+    assert np.flatnonzero(around.around(mask(10, [0, 7]), 2)).tolist() == [0, 1, 2, 5, 6, 7, 8, 9]
+    assert len(around.edges_at(mask(10, []))) == 0
+    part, inside = around.region(np.arange(30.0).reshape(10, 3), mask(10, [4, 5]))
+    assert part.ids.tolist() == [3, 4, 5, 6]
+    assert part.fixed.tolist() == [3, 6]
+    assert inside.tolist() == [False, True, True, False]
+    assert part.poses[:, 0].tolist() == [9, 12, 15, 18]
+
+
+def test_nodes_without_edges_have_no_surroundings():
+    alone = PoseGraph.from_arrays([], np.zeros((0, 3)), ids=[3, 5], poses=np.zeros((2, 3)))
+    around = Surroundings(alone)
+    assert len(around.edges_at(mask(2, [1]))) == 0
+    assert around.around(mask(2, [1])).tolist() == [False, True]
+
+
+def test_the_certificate_fails_at_the_twisted_ring():
+    graph = two_rings(second_twisted=False)
+    places = Relaxation(graph).weak_places(graph.poses)
+    assert len(places) > 0
+    assert places.max() < 12
+    straight = two_rings(first_twisted=False, second_twisted=False)
+    assert len(Relaxation(straight).weak_places(straight.poses)) == 0
+
+
+def test_too_many_places_are_all(monkeypatch):
+    monkeypatch.setattr(relaxation, "_MOST_PLACES", 0)
+    graph = two_rings()
+    places = Relaxation(graph).weak_places(graph.poses)
+    assert np.array_equal(places, np.delete(np.arange(24 + CHAIN), 20))
+
+
+def test_what_is_far_from_weak_places_stays_as_it_is():
+    graph = two_rings()
+    poses = lift_weak_places(graph)
+    away = np.arange(12 + 7, 12 + CHAIN - 7)
+    assert np.array_equal(poses[away], graph.poses[away])
+    assert np.allclose(np.sin(poses[:, 2]), 0, atol=1e-4)
+    assert np.allclose(np.cos(poses[:, 2]), 1, atol=1e-4)
+
+
+def test_a_good_map_is_not_lifted():
+    best = masat.optimize(random_graph(2, 30, 60, seed=1, noise=0.02)).graph
+    assert lift_weak_places(best) is best.poses
+
+
+def test_what_a_lift_makes_worse_stays(monkeypatch):
+    """Each connected part for itself: only where chi2 falls do its poses count."""
+    graph = two_rings(second_twisted=False)
+
+    def worse_at_the_second(part, *, seed):
+        poses = part.poses.copy()
+        poses[part.ids < 12, 2] = 0
+        poses[part.ids >= 12 + CHAIN, 2] += np.linspace(0, 1, int((part.ids >= 12 + CHAIN).sum()))
+        return poses
+
+    monkeypatch.setattr("masat.lifting.lift", worse_at_the_second)
+    monkeypatch.setattr(
+        Relaxation, "weak_places", lambda *_: np.array([3, 12 + CHAIN + 3], np.int32)
+    )
+    poses = lift_weak_places(graph)
+    assert np.allclose(poses[:12, 2], 0)
+    assert np.array_equal(poses[12:], graph.poses[12:])
+
+
+@pytest.mark.parametrize(
+    ("dimension", "axis"), [(2, None), (3, (0, 0, 1)), (3, (1, 0, 0)), (3, (0.6, 0.0, 0.8))]
+)
+def test_a_lift_takes_all_turns_back(dimension, axis):
+    local = masat.optimize(polygon(24, dimension, axis, turns=1))
+    assert local.chi2 > 40
+    poses = lift(local.graph)
+    assert masat.optimize(local.graph.with_poses(poses)).chi2 < 1e-6
+
+
+def test_without_memory_for_a_lift_the_poses_are_optimised(monkeypatch):
+    monkeypatch.setattr(relaxation, "_MOST_MEMORY", 0)
+    graph = random_graph(2, 20, 40, seed=2, noise=0.1)
+    best = masat.optimize(graph, relative_tolerance=1e-8)
+    assert np.allclose(lift(graph), best.graph.poses)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_search_never_ends_higher_and_anchors_hold_still(dimension, seed):
+    graph = random_graph(dimension, 40, 50, seed=seed, noise=0.4)
+    start = masat.optimize(masat.initialize(graph, "spanning_tree"))
+    found = lower_minimum(start.graph)
+    assert found.chi2 <= start.chi2 * (1 + 1e-9)
+    held = graph.index(graph.anchors)
+    assert np.array_equal(found.graph.poses[held], start.graph.poses[held])
+    again = lower_minimum(start.graph)
+    assert np.array_equal(again.graph.poses, found.graph.poses)
+
+
+@pytest.mark.parametrize("name", ["City10k/8", "City10k/42", "Manhattan10000/17"])
+def test_minima_of_the_study_are_left(name, data_dir, monkeypatch):
+    """At .35 m and rad, where turns around weak loops alone do not lead as low as the truth."""
+    monkeypatch.setenv("MASAT_DATASETS", str(data_dir))
+    world, number = name.split("/")
+    graph = instance(Case(world, (0.35, 0.35, 0.35), int(number)))
+    control = masat.optimize(graph)
+    local = masat.optimize(guess_of(graph, "chordal"))
+    assert local.chi2 > control.chi2 * (1 + 1e-4)
+    assert lower_minimum(local.graph).chi2 <= control.chi2 * (1 + 1e-6)
