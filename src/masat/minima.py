@@ -10,6 +10,7 @@ from masat.windings import unwind
 # chi2 this much lower, relatively, is another minimum; as between two solvers.
 _LOWER = 1e-6
 _ROUNDS = 10
+_VERY_LAST = 200
 
 
 def lower_minimum(graph: PoseGraph, *, seed: int = 0) -> Result:
@@ -42,7 +43,7 @@ def lower_minimum(graph: PoseGraph, *, seed: int = 0) -> Result:
             break
         best = _minimum(graph.with_poses(unwound.poses))
     # Gauss-Newton may leave even the surroundings of a minimum, but not the minimum.
-    return optimize(best.graph, relative_tolerance=1e-12)
+    return optimize(best.graph, relative_tolerance=0.0, max_iterations=_VERY_LAST)
 
 
 def _minimum(graph: PoseGraph) -> Result:
