@@ -41,8 +41,7 @@ def lift(graph: PoseGraph, *, seed: int = 0) -> Floats:
     rounded = graph.poses
     if relaxed.can_lift():
         x = relaxed.unknowns(graph.poses, graph.dimension)
-        x = relaxed.lift(x, np.random.default_rng(seed))
-        top = relaxed.minimise(x, decrease=_DECREASE, damping=30.0)
+        top = relaxed.minimise_lifted(x, decrease=_DECREASE, seed=seed)
         rounded = quadratic.settle(graph, relaxed.poses(top.unknowns))
     result = optimize(graph.with_poses(rounded), relative_tolerance=1e-8, max_iterations=50)
     assert result.graph.poses is not None
@@ -55,7 +54,7 @@ def lift_weak_places(graph: PoseGraph, *, seed: int = 0) -> Floats:
     The matrix of the certificate (`masat.relaxation`) has few negative eigenvalues at a good
     minimum, and each belongs to few nodes. These, what lies around them, and the weak loops
     (`masat.windings`) are lifted, the rest held still. Of each connected part the poses of the
-    lower chi2 stand.
+    lower chi2 stand. Source: as of `masat.relaxation.Relaxation`, applied to parts of a graph.
 
     Parameters
     ----------

@@ -16,8 +16,8 @@ class Region(NamedTuple):
     Attributes
     ----------
     graph : PoseGraph
-        Its ids are the places of its nodes in the whole.
-    inside : ndarray of bool
+        Its ids are the places of its nodes, k of them, in the whole.
+    inside : ndarray of bool, (k,)
         Which of its nodes are free.
     """
 

@@ -149,6 +149,11 @@ class Relaxation:
         out[self._free, :, old:] = smooth * (_NOISE / np.sqrt(np.square(smooth[:, :d]).mean()))
         return out
 
+    def minimise_lifted(self, x: Floats, *, decrease: float, seed: int) -> Point:
+        """Go down from x in a higher rank, entered by noise."""
+        lifted = self.lift(x, np.random.default_rng(seed))
+        return self.minimise(lifted, decrease=decrease, damping=30.0)
+
     def gap(self, point: Point) -> float:
         """Return how far any poses may lie below the cost of a point; inf if no bound is known."""
         if len(self._free) == 0:
@@ -244,7 +249,6 @@ def solve(
     poses: Floats,
     *,
     lift: bool = True,
-    decrease: float = 1e-6,
     seed: int = 0,
 ) -> Solution:
     """Minimise the chordal cost from poses on, in a higher rank where their own leaves doubt.
@@ -262,8 +266,6 @@ def solve(
         Where to begin, the anchors at their places.
     lift : bool
         Whether to go to a higher rank at all.
-    decrease : float
-        There, stop at a step that promises less than this share of the cost.
     seed : int
         Of the noise.
 
@@ -276,8 +278,7 @@ def solve(
     bound = best.cost - relaxed.gap(best)
     known = best.cost - bound <= max(TIGHT * best.cost, relaxed.nothing)
     if lift and not known and relaxed.can_lift():
-        lifted = relaxed.lift(best.unknowns, np.random.default_rng(seed))
-        top = relaxed.minimise(lifted, decrease=decrease, damping=30.0)
+        top = relaxed.minimise_lifted(best.unknowns, decrease=1e-6, seed=seed)
         bound = max(bound, top.cost - relaxed.gap(top))
         rounded = relaxed.polish(relaxed.poses(top.unknowns))
         if rounded.cost < best.cost:

@@ -22,9 +22,8 @@ def lifted(graph: PoseGraph, root: int | None = None, *, seed: int = 0) -> PoseG
     Begins at the chordal start, to which Gauss-Newton soon finds a minimum; else all frames are
     lifted. Where the minimum does not look global, lower ones are sought around the places that
     leave doubt (`masat.minima`). Ends at the minimum of the chordal cost, or of chi2 if doubt was
-    left. Sources:
-    Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Dellaert, Rosen, Wu, Mahony, Carlone,
-    Shonan rotation averaging, ECCV 2020.
+    left. Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Dellaert, Rosen, Wu,
+    Mahony, Carlone, Shonan rotation averaging, ECCV 2020.
     """
     guess = chordal(graph)
     poses, trusted = best_minimum(guess, seed=seed)
