@@ -2,23 +2,48 @@
 
 from __future__ import annotations
 
-from masat.graph import PoseGraph
-from masat.lifting import lift_weak_places
-from masat.optimizers import Result, optimize
-from masat.windings import unwind
+from collections.abc import Callable
+from functools import partial
 
-# chi2 this much lower, relatively, is another minimum; as between two solvers.
-_LOWER = 1e-6
-_ROUNDS = 10
+import numpy as np
+
+from masat import lie, quadratic, windings
+from masat.arrays import Flags, Floats
+from masat.graph import PoseGraph
+from masat.lifting import lift
+from masat.optimizers import Iteration, Result, optimize
+from masat.optimizers.equations import edge_chi2
+from masat.regions import Region, Surroundings
+from masat.relaxation import Relaxation
+
+# chi2 this much lower, relatively, is another minimum.
+_LOWER = 1e-7
+# Edges from a place where the certificate fails, from a weak edge, and from the nodes that a loop
+# turns: what lies no farther is lifted.
+_REACH, _WEAK_REACH, _LOOP_REACH = 6, 3, 3
+# In units of chi2: with no more than this above the minimum, all nodes together are asked.
+_NEARLY = 5.0
+# A trial ends where so many more steps like the last would not bring it near.
+_HOPE = 40
+# Radians: a loop whose error has changed by less need not be tried again, and nodes that moved less
+# are where they were.
+_STRAIGHT = 0.01
+# How many loops are tried at the most: the first divided by the nodes of the graph, but not fewer
+# than the second.
+_WORK, _LOOPS = 1_000_000, 10
+_ROUNDS = 20
 _VERY_LAST = 200
+
+Trial = Callable[[Region], Result]
 
 
 def lower_minimum(graph: PoseGraph, *, seed: int = 0) -> Result:
     """Search for a lower minimum around the places that leave doubt about one.
 
-    Where the certificate fails, the poses are lifted (`masat.lifting`) as long as that lowers chi2;
-    then another turn is tried around the weak loops (`masat.windings`), and after such turns all
-    begins anew.
+    Nodes are lifted (`masat.lifting`), the rest held still: first those around the places where
+    the certificate fails and around weak edges, each connected part for itself, as long as that
+    lowers chi2; then those of each weak loop (`masat.windings`), which are also turned once more,
+    either way. After each that lowers chi2 all begins anew.
 
     Parameters
     ----------
@@ -32,19 +57,170 @@ def lower_minimum(graph: PoseGraph, *, seed: int = 0) -> Result:
     Result
         Of the optimiser, at the lowest minimum met.
     """
-    best = _minimum(graph)
+    search = _Search(graph, seed)
     for _ in range(_ROUNDS):
-        lifted = _minimum(graph.with_poses(lift_weak_places(best.graph, seed=seed)))
-        if lifted.chi2 < best.chi2 * (1 - _LOWER):
-            best = lifted
-            continue
-        unwound = unwind(best.graph)
-        if unwound.turns == 0:
+        if not (search.at_weak_places() or search.at_weak_loops()):
             break
-        best = _minimum(graph.with_poses(unwound.poses))
-    # Gauss-Newton may leave even the surroundings of a minimum, but not the minimum.
-    return optimize(best.graph, relative_tolerance=0.0, max_iterations=_VERY_LAST)
+        search.settle()
+    found = graph.with_poses(search.poses)
+    end = optimize(found, "gauss_newton", relative_tolerance=1e-9, max_iterations=5)
+    if end.converged and end.chi2 <= search.chi2 * (1 + 1e-9):
+        return end
+    # Gauss-Newton leaves even the surroundings of some minima, but not the minimum itself.
+    return optimize(found, "dogleg", relative_tolerance=1e-12, max_iterations=_VERY_LAST)
 
 
-def _minimum(graph: PoseGraph) -> Result:
-    return optimize(graph, relative_tolerance=1e-8)
+class _Search:
+    """The lowest minimum met so far."""
+
+    def __init__(self, graph: PoseGraph, seed: int) -> None:
+        assert graph.poses is not None
+        self.poses = graph.poses
+        self._graph = graph
+        self._seed = seed
+        self.settle()
+        self._unit = windings.chi2_unit(graph.with_poses(self.poses))
+        self._relaxed = Relaxation(graph)
+        self._loops = windings.WeakLoops(graph, self._unit)
+        self._surroundings = Surroundings(graph)
+        self._refused: dict[int, float] = {}
+        self._left = max(_LOOPS, _WORK // len(graph.ids))
+        anchors = graph.index(graph.anchors)
+        labels = graph.components
+        held = np.bincount(labels[anchors], minlength=int(labels.max()) + 1)
+        # What holds only the gauge may turn with the rest, and is put back afterwards.
+        self._gauge = anchors[held[labels[anchors]] == 1]
+        self._held = anchors[held[labels[anchors]] > 1]
+
+    def settle(self) -> None:
+        """Go to the minimum."""
+        self.poses, self.chi2 = _minimum(self._graph, self.poses)
+
+    def at_weak_places(self) -> bool:
+        """Lift what lies around the weak places; return whether that lowered chi2."""
+        around = self._surroundings.around
+        places = np.zeros(len(self.poses), np.bool_)
+        places[self._relaxed.weak_places(self.poses)] = True
+        edges = np.zeros_like(places)
+        edges[self._graph.edge_indices[self._loops.weak_edges(self.poses)]] = True
+        nodes = around(places, _REACH) | around(edges, _WEAK_REACH)
+        nodes[self._graph.index(self._graph.anchors)] = False
+        return any([self._try(part, self._lift) for part in self._surroundings.parts(nodes)])
+
+    def at_weak_loops(self) -> bool:
+        """Lift the weak loops, and turn them once more; return whether that lowered chi2."""
+        lowered = False
+        everything = False
+        for loop in self._loops.promising(self.poses):
+            if abs(loop.error - self._refused.get(loop.edge, np.inf)) < _STRAIGHT:
+                continue
+            if self._left == 0:
+                break
+            self._left -= 1
+            turns = self._relative(loop)
+            nodes = windings.apart(turns)
+            most = np.count_nonzero(nodes) > len(nodes) / 2
+            lower = not (most and everything) and self._try(
+                self._surroundings.around(nodes, _LOOP_REACH), self._lift
+            )
+            everything |= most
+            near = self._surroundings.around(nodes)
+            for axis in (loop.axis, -loop.axis):
+                lower = lower or self._try(near, partial(self._turn, axis, turns))
+            lowered |= lower
+            if not lower:
+                self._refused[loop.edge] = loop.error
+        return lowered
+
+    def _relative(self, loop: windings.Loop) -> Floats:
+        """Return the turns of a loop; where it is the gauge alone that holds, as few as can be."""
+        labels = self._graph.components
+        label = labels[self._graph.edge_indices[loop.edge, 0]]
+        if label in labels[self._gauge]:
+            return windings.stilled(loop.turns, labels == label)
+        return loop.turns
+
+    def _lift(self, region: Region) -> Result:
+        start = region.graph.with_poses(lift(region.graph, seed=self._seed))
+        # What is rounded lies between minima: one method may end in a lower one than the other.
+        return min(
+            (
+                optimize(start, method, relative_tolerance=1e-8, max_iterations=50)
+                for method in ("dogleg", "levenberg_marquardt")
+            ),
+            key=lambda result: result.chi2,
+        )
+
+    def _turn(self, axis: Floats, turns: Floats, region: Region) -> Result:
+        part, inside = region
+        assert part.poses is not None
+        angles = np.where(inside, turns[part.ids], 0.0)
+        start = windings.turned(part.poses, axis, angles)
+        nearly = _NEARLY * self._unit
+        return optimize(
+            part.with_poses(quadratic.settle(part, start)),
+            "dogleg",
+            max_iterations=30,
+            absolute_tolerance=nearly / 500,
+            report=_Hope(float(edge_chi2(part).sum()) + nearly),
+        )
+
+    def _try(self, nodes: Flags, trial: Trial) -> bool:
+        """Keep what a trial makes of some nodes if it lowers chi2; return whether."""
+        graph, before = self._graph, self.poses
+        nodes = nodes.copy()
+        nodes[self._held] = False
+        if not nodes.any():
+            return False
+        region = self._surroundings.region(before, nodes)
+        places = region.graph.ids
+        result = trial(region)
+        assert result.graph.poses is not None
+        poses = before.copy()
+        poses[places] = result.graph.poses
+        if np.abs(lie.local(before[places], poses[places])).max() < _STRAIGHT:
+            return False
+        self._put_back(poses, nodes)
+        chi2 = self.chi2 + result.chi2 - float(edge_chi2(region.graph).sum())
+        lower = self.chi2 * (1 - _LOWER)
+        if lower <= chi2 < self.chi2 + _NEARLY * self._unit:
+            # Nearly as low: with all nodes free it may be lower.
+            poses, chi2 = _minimum(graph, poses, _Hope(lower, chi2))
+        if chi2 < lower:
+            self.poses, self.chi2 = poses, chi2
+            return True
+        return False
+
+    def _put_back(self, poses: Floats, moved: Flags) -> None:
+        """Move the components of anchors that a trial has moved so that these hold still."""
+        labels = self._graph.components
+        for k in self._gauge[moved[self._gauge]]:
+            own = labels == labels[k]
+            back = lie.compose(self.poses[k], lie.inverse(poses[k]))
+            poses[own] = lie.compose(back, poses[own])
+            poses[k] = self.poses[k]
+
+
+class _Hope:
+    """Stops an optimiser where many more steps like the last would not bring chi2 below a mark."""
+
+    def __init__(self, mark: float, chi2: float = np.inf) -> None:
+        self._mark, self._last = mark, chi2
+
+    def __call__(self, step: Iteration) -> bool:
+        """Return whether to stop after an iteration."""
+        gained, self._last = self._last - step.chi2, step.chi2
+        return step.chi2 - self._mark > _HOPE * gained
+
+
+def _minimum(graph: PoseGraph, poses: Floats, report: _Hope | None = None) -> tuple[Floats, float]:
+    """Return the poses of the minimum that an optimiser finds from some, and chi2 there."""
+    result = optimize(
+        graph.with_poses(poses),
+        "dogleg",
+        relative_tolerance=1e-8,
+        max_iterations=50,
+        report=report,
+    )
+    assert result.graph.poses is not None
+    return result.graph.poses, result.chi2

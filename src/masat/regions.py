@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -66,3 +67,24 @@ class Surroundings:
             ),
             inside[nodes],
         )
+
+    def parts(self, nodes: Flags) -> Iterator[Flags]:
+        """Yield some nodes, those together that edges between them join."""
+        graph = self.graph
+        edges = self.edges_at(nodes)
+        edges = edges[nodes[graph.edge_indices[edges]].all(axis=1)]
+        places = np.flatnonzero(nodes)
+        if len(places) == 0:
+            return
+        joined = PoseGraph(
+            ids=places,
+            poses=None,
+            edges=graph.edge_indices[edges].astype(np.int64),
+            measurements=np.ascontiguousarray(graph.measurements[edges]),
+            information=np.ascontiguousarray(graph.information[edges]),
+            fixed=places[:0],
+        )
+        for part in range(joined.components.max() + 1):
+            own = np.zeros_like(nodes)
+            own[places[joined.components == part]] = True
+            yield own

@@ -27,7 +27,7 @@ _SHIFTS = (1e-8, TIGHT / 4)
 # How far below zero, as a share of the median weight of a rotation, the certificate's eigenvalues
 # may lie at a plausible minimum: at .1 m and rad of noise those of the study's global minima lie
 # within the first. Farther than the second they mark the places where minima differ.
-_PLAUSIBLE, _WEAK = 1e-3, 0.02
+_PLAUSIBLE, _WEAK = 5e-4, 0.02
 # Places that are told one by one: a factorisation each.
 _MOST_PLACES = 100
 _POLISHING = 60

@@ -8,21 +8,19 @@ from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
 from masat.initializers.roots import rooted
-from masat.lifting import lift
 from masat.minima import lower_minimum
 from masat.optimizers import optimize
 
-# Iterations of Gauss-Newton: a longer way leads, as like as not, to a local minimum.
+# Iterations after which Gauss-Newton is not waited for.
 _SOON = 15
 
 
 def lifted(graph: PoseGraph, root: int | None = None, *, seed: int = 0) -> PoseGraph:
     """Solve the chordal problem to its global minimum, in a higher rank where that takes one.
 
-    Begins at the chordal start, to which Gauss-Newton soon finds a minimum; else all frames are
-    lifted. Where the minimum does not look global, lower ones are sought around the places that
-    leave doubt (`masat.minima`). Ends at the minimum of the chordal cost, or of chi2 if doubt was
-    left. Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Dellaert, Rosen, Wu,
+    Begins at the minimum near the chordal start. Where that does not look global, lower ones are
+    sought around the places that leave doubt (`masat.minima`). Ends at the minimum of the chordal
+    cost, or of chi2 if doubt was left. Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Dellaert, Rosen, Wu,
     Mahony, Carlone, Shonan rotation averaging, ECCV 2020.
     """
     guess = chordal(graph)
@@ -38,7 +36,7 @@ def best_minimum(guess: PoseGraph, *, seed: int = 0) -> tuple[Floats, bool]:
     And whether that to which the guess led at once looked global.
     """
     try:
-        near = _near(guess, seed)
+        near = _near(guess)
         assert near.poses is not None
         if relaxation.Relaxation(guess).plausible(near.poses):
             return near.poses, True
@@ -49,7 +47,7 @@ def best_minimum(guess: PoseGraph, *, seed: int = 0) -> tuple[Floats, bool]:
     return poses, False
 
 
-def _near(guess: PoseGraph, seed: int) -> PoseGraph:
-    """Return the graph at a minimum: where Gauss-Newton soon leads, or else a lifted one."""
+def _near(guess: PoseGraph) -> PoseGraph:
+    """Return the graph at a minimum near a guess."""
     soon = optimize(guess, "gauss_newton", max_iterations=_SOON, relative_tolerance=1e-4)
-    return soon.graph if soon.converged else guess.with_poses(lift(guess, seed=seed))
+    return soon.graph if soon.converged else optimize(guess, "dogleg").graph
