@@ -1,13 +1,14 @@
 import json
 import subprocess
 import sys
+from time import sleep
 
 import numpy as np
 import pytest
 
 import masat
 from masat import PoseGraph
-from masat.cli import main
+from masat.cli import main, show
 from masat.initializers import INITIALIZERS
 from masat.worlds import manhattan, perturb, sphere
 
@@ -234,3 +235,17 @@ def test_solve_tells_whether_the_optimum_is_certified(run, tmp_path):
     masat.write(perturb(manhattan(200, seed=0), [0.1, 0.1, 0.1], seed=0), path)
     assert "global, certified to" in run("solve", path)[1]
     assert json.loads(run("solve", path, "--json")[1])["certificate"]["certified"] is True
+
+
+def test_a_long_wait_shows_what_it_is_for(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    monkeypatch.setattr(show, "_PATIENCE", 0.01)
+    with show.Wait("city.g2o  start auto", quiet=False):
+        sleep(0.3)
+    assert "start auto" in capsys.readouterr().err
+    with show.Wait("city.g2o  start auto", quiet=True):
+        sleep(0.1)
+    monkeypatch.setattr(show, "_PATIENCE", 60)
+    with show.Wait("city.g2o  start auto", quiet=False):
+        pass
+    assert capsys.readouterr().err == ""

@@ -1,4 +1,4 @@
-"""Ways from a minimum to lower ones: lifting where the certificate fails, and all together."""
+"""Ways from a minimum to lower ones: lifts and turns, of what leaves doubt alone."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,8 @@ from test_relaxation import ring, twisted
 from test_windings import ring as polygon
 
 import masat
-from masat import PoseGraph, relaxation
-from masat.lifting import lift, lift_weak_places
+from masat import PoseGraph, minima, relaxation
+from masat.lifting import lift
 from masat.minima import lower_minimum
 from masat.regions import Surroundings
 from masat.relaxation import Relaxation
@@ -68,25 +68,41 @@ def test_the_certificate_fails_at_the_twisted_ring():
     assert len(Relaxation(straight).weak_places(straight.poses)) == 0
 
 
-def test_too_many_places_are_all(monkeypatch):
-    monkeypatch.setattr(relaxation, "_MOST_PLACES", 0)
+def test_each_of_two_weak_places_is_told():
     graph = two_rings()
     places = Relaxation(graph).weak_places(graph.poses)
-    assert np.array_equal(places, np.delete(np.arange(24 + CHAIN), 20))
+    assert places.min() < 12
+    assert places.max() >= 12 + CHAIN
+    assert np.all((places < 12) | (places >= 12 + CHAIN))
 
 
-def test_what_is_far_from_weak_places_stays_as_it_is():
+def test_parts_of_a_chain():
+    chain = PoseGraph.from_arrays([(k, k + 1) for k in range(9)], np.zeros((9, 3)))
+    parts = [
+        np.flatnonzero(part).tolist() for part in Surroundings(chain).parts(mask(10, [0, 4, 5, 7]))
+    ]
+    assert parts == [[0], [4, 5], [7]]
+    assert list(Surroundings(chain).parts(mask(10, []))) == []
+
+
+def test_each_weak_place_is_lifted_for_itself():
     graph = two_rings()
-    poses = lift_weak_places(graph)
+    search = minima._Search(graph, seed=0)
+    before = search.poses
+    assert search.at_weak_places()
     away = np.arange(12 + 7, 12 + CHAIN - 7)
-    assert np.array_equal(poses[away], graph.poses[away])
-    assert np.allclose(np.sin(poses[:, 2]), 0, atol=1e-4)
-    assert np.allclose(np.cos(poses[:, 2]), 1, atol=1e-4)
+    assert np.array_equal(search.poses[away], before[away])
+    assert np.allclose(np.sin(search.poses[:, 2]), 0, atol=1e-4)
+    assert np.allclose(np.cos(search.poses[:, 2]), 1, atol=1e-4)
 
 
-def test_a_good_map_is_not_lifted():
+def test_a_good_map_has_no_weak_places():
     best = masat.optimize(random_graph(2, 30, 60, seed=1, noise=0.02)).graph
-    assert lift_weak_places(best) is best.poses
+    search = minima._Search(best, seed=0)
+    settled = search.poses
+    assert not search.at_weak_places()
+    assert not search.at_weak_loops()
+    assert search.poses is settled
 
 
 def test_what_a_lift_makes_worse_stays(monkeypatch):
@@ -96,16 +112,26 @@ def test_what_a_lift_makes_worse_stays(monkeypatch):
     def worse_at_the_second(part, *, seed):
         poses = part.poses.copy()
         poses[part.ids < 12, 2] = 0
-        poses[part.ids >= 12 + CHAIN, 2] += np.linspace(0, 1, int((part.ids >= 12 + CHAIN).sum()))
+        poses[part.ids >= 12 + CHAIN] = twisted_again[part.ids[part.ids >= 12 + CHAIN]]
         return poses
 
-    monkeypatch.setattr("masat.lifting.lift", worse_at_the_second)
+    twisted_again = two_rings().poses
+    monkeypatch.setattr("masat.minima.lift", worse_at_the_second)
     monkeypatch.setattr(
         Relaxation, "weak_places", lambda *_: np.array([3, 12 + CHAIN + 3], np.int32)
     )
-    poses = lift_weak_places(graph)
-    assert np.allclose(poses[:12, 2], 0)
-    assert np.array_equal(poses[12:], graph.poses[12:])
+    search = minima._Search(graph, seed=0)
+    assert search.at_weak_places()
+    assert np.allclose(search.poses[:, 2], 0, atol=1e-6)
+
+
+def test_a_trial_that_ends_where_it_began_is_none():
+    graph = masat.optimize(random_graph(2, 30, 60, seed=1, noise=0.02)).graph
+    search = minima._Search(graph, seed=0)
+    begun = search.poses
+    everything = np.ones(len(graph.ids), np.bool_)
+    assert not search._try(everything, search._lift)
+    assert search.poses is begun
 
 
 @pytest.mark.parametrize(
@@ -118,11 +144,10 @@ def test_a_lift_takes_all_turns_back(dimension, axis):
     assert masat.optimize(local.graph.with_poses(poses)).chi2 < 1e-6
 
 
-def test_without_memory_for_a_lift_the_poses_are_optimised(monkeypatch):
+def test_without_memory_for_a_lift_the_poses_stay(monkeypatch):
     monkeypatch.setattr(relaxation, "_MOST_MEMORY", 0)
     graph = random_graph(2, 20, 40, seed=2, noise=0.1)
-    best = masat.optimize(graph, relative_tolerance=1e-8)
-    assert np.allclose(lift(graph), best.graph.poses)
+    assert lift(graph) is graph.poses
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -138,13 +163,23 @@ def test_a_search_never_ends_higher_and_anchors_hold_still(dimension, seed):
     assert np.array_equal(again.graph.poses, found.graph.poses)
 
 
-@pytest.mark.parametrize("name", ["City10k/8", "City10k/42", "Manhattan10000/17"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "City10k/.35,.35,.35/8",
+        "City10k/.35,.35,.35/15",
+        "City10k/.35,.35,.35/42",
+        "Manhattan10000/.2,.2,.2/40",
+        "Manhattan10000/.35,.35,.35/17",
+        "Manhattan3500/.35,.35,.35/28",
+        "Manhattan3500/.15,.15,.3/34",
+    ],
+)
 def test_minima_of_the_study_are_left(name, data_dir, monkeypatch):
-    """At .35 m and rad, where turns around weak loops alone do not lead as low as the truth."""
     monkeypatch.setenv("MASAT_DATASETS", str(data_dir))
-    world, number = name.split("/")
-    graph = instance(Case(world, (0.35, 0.35, 0.35), int(number)))
+    world, sigma, number = name.split("/")
+    graph = instance(Case(world, tuple(map(float, sigma.split(","))), int(number)))
     control = masat.optimize(graph)
     local = masat.optimize(guess_of(graph, "chordal"))
-    assert local.chi2 > control.chi2 * (1 + 1e-4)
+    assert local.chi2 > control.chi2 * (1 + 5e-6)
     assert lower_minimum(local.graph).chi2 <= control.chi2 * (1 + 1e-6)

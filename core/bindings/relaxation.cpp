@@ -60,11 +60,11 @@ double lifted_gap(const GraphMatrix& matrix, const Stack& forcing, const Stack& 
 }
 
 Array<std::int32_t> weak_nodes(const GraphMatrix& matrix, const Stack& forcing, const Stack& x,
-                               double shift, std::size_t most) {
+                               double shift) {
   std::vector<std::int32_t> found;
   with_lifted(matrix, forcing, 0.0, x, [&](auto problem) {
     const nb::gil_scoped_release release;
-    found = problem.weak({x.data(), x.data() + x.size()}, shift, most);
+    found = problem.weak({x.data(), x.data() + x.size()}, shift);
   });
   return as_array(std::move(found));
 }
@@ -75,7 +75,7 @@ void bind_relaxation(nb::module_& m) {
   m.def("minimise_lifted", &minimise_lifted, "matrix"_a, "forcing"_a, "constant"_a, "start"_a,
         "decrease"_a, "damping"_a, "steps"_a);
   m.def("lifted_gap", &lifted_gap, "matrix"_a, "forcing"_a, "x"_a, "shift"_a);
-  m.def("weak_nodes", &weak_nodes, "matrix"_a, "forcing"_a, "x"_a, "shift"_a, "most"_a);
+  m.def("weak_nodes", &weak_nodes, "matrix"_a, "forcing"_a, "x"_a, "shift"_a);
 }
 
 }  // namespace masat

@@ -121,24 +121,15 @@ class Lifted {
     return below;
   }
 
-  // Where S of above fails to be positive definite: nodes that, held still with their neighbours,
-  // let it be so; at most `most` and one more.
-  std::vector<std::int32_t> weak(const std::vector<double>& x, double shift, std::size_t most) {
+  // Where S of above fails to be positive definite: nodes that, held still, let it be so.
+  std::vector<std::int32_t> weak(const std::vector<double>& x, double shift) {
     GraphMatrix s = certificate(x);
-    std::vector<double> damping = on_frames(shift);
-    const auto hold = [&](std::int32_t k) {
+    std::vector<double> held(s.rows());
+    for (std::int32_t k = 0; k < nodes_; ++k) {
       const double trace = Eigen::Map<Eigen::Matrix<double, kRows, kRows>>(s.node_block(k)).trace();
-      std::fill_n(&damping[std::int64_t{k} * kRows], kRows, kHeld * std::abs(trace));
-    };
-    std::vector<std::int32_t> found;
-    std::int32_t broken = s.factorize(damping);
-    while (broken >= 0 && found.size() <= most) {
-      found.push_back(broken);
-      hold(broken);
-      for (const auto& near : s.elimination()->adjacency().neighbours(broken)) hold(near.node);
-      broken = s.factorize(damping);
+      std::fill_n(&held[std::int64_t{k} * kRows], kRows, kHeld * std::abs(trace));
     }
-    return found;
+    return s.indefinite(on_frames(shift), held);
   }
 
  private:

@@ -30,6 +30,18 @@ std::int32_t BlockCholesky::factorize(std::span<const double> values,
   return broken < 0 ? -1 : impl_->layout.tree().order[broken];
 }
 
+std::vector<std::int32_t> BlockCholesky::indefinite(std::span<const double> values,
+                                                    std::vector<double> damping,
+                                                    std::span<const double> held) {
+  std::vector<char> broken(impl_->layout.tree().order.size());
+  impl_->factor.factorize(values, damping, held, broken);
+  std::vector<std::int32_t> nodes;
+  for (std::size_t k = 0; k < broken.size(); ++k) {
+    if (broken[k]) nodes.push_back(static_cast<std::int32_t>(k));
+  }
+  return nodes;
+}
+
 void BlockCholesky::solve(std::span<double> rhs, int columns) const {
   const std::vector<std::int32_t>& order = impl_->layout.tree().order;
   std::vector<double>& permuted = impl_->permuted;

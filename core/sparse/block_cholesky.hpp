@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <span>
+#include <vector>
 
 #include "sparse/elimination.hpp"
 
@@ -20,6 +21,11 @@ class BlockCholesky {
   // pattern, plus the diagonal `damping`. Every entry counts, zeros too: the pattern never
   // changes. Returns -1, or the block at which the matrix is not positive definite.
   std::int32_t factorize(std::span<const double> values, std::span<const double> damping);
+
+  // Where the matrix is not positive definite: nodes that, with `held` instead of their damping,
+  // let it be so, ascending.
+  std::vector<std::int32_t> indefinite(std::span<const double> values, std::vector<double> damping,
+                                       std::span<const double> held);
 
   // Overwrites the right-hand sides, the columns of a row-major matrix, with the solutions. One
   // thread at a time.

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <memory>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "sparse/block_cholesky.hpp"
@@ -51,6 +52,12 @@ class GraphMatrix {
   std::int32_t factorize(std::span<const double> damping) {
     if (!cholesky_) cholesky_ = std::make_unique<BlockCholesky>(*elimination_, d_, threads_);
     return cholesky_->factorize(values_, damping);
+  }
+  // Free nodes, ascending, that must be held for H plus the diagonal to be positive definite: each
+  // has `held` added instead.
+  std::vector<std::int32_t> indefinite(std::vector<double> damping, std::span<const double> held) {
+    if (!cholesky_) cholesky_ = std::make_unique<BlockCholesky>(*elimination_, d_, threads_);
+    return cholesky_->indefinite(values_, std::move(damping), held);
   }
   bool factorized() const { return cholesky_ != nullptr; }
   // Overwrites right-hand sides with the solutions of what was factorised.

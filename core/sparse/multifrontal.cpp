@@ -75,6 +75,15 @@ std::int32_t Multifrontal::factorize(std::span<const double> values,
   return broken == kNone ? -1 : static_cast<std::int32_t>(broken / layout_.block_size());
 }
 
+std::int32_t Multifrontal::factorize(std::span<const double> values, std::span<double> damping,
+                                     std::span<const double> held, std::vector<char>& broken) {
+  const Holding holding{damping, held, broken};
+  holding_ = &holding;
+  const std::int32_t last = factorize(values, damping);
+  holding_ = nullptr;
+  return last;
+}
+
 // Fronts after a broken pivot do not matter, and those before it are all computed: the first one is
 // found whatever the threads do.
 bool Multifrontal::matters(std::int32_t f) const {
@@ -91,11 +100,14 @@ void Multifrontal::process(std::int32_t f, int rank, Threads&& threads) {
   const Front front = layout_.front(f, factor_.data(), contribution(f, rank));
   // About a panel, of whole blocks.
   const std::int32_t whole = kPanel / layout_.block_size() * layout_.block_size();
-  threads.for_each(chunks(front.pivots, whole), [&](std::int32_t i, int) {
-    assemble_pivots(front, f, rank, i * whole, std::min((i + 1) * whole, front.pivots));
-  });
-  eliminate(front, f, threads);
-  if (layout_.first(f) + front.pivots > broken_.load(std::memory_order_relaxed)) return;
+  std::int32_t broken;
+  do {
+    threads.for_each(chunks(front.pivots, whole), [&](std::int32_t i, int) {
+      assemble_pivots(front, f, rank, i * whole, std::min((i + 1) * whole, front.pivots));
+    });
+    broken = eliminate(front, f, threads);
+  } while (broken >= 0 && hold(layout_.first(f) + broken));
+  if (broken >= 0) return report_broken(layout_.first(f) + broken);
   // The long rows first, for balance.
   const std::int32_t tiles = chunks(front.rows, kTile);
   threads.for_each(tiles, [&](std::int32_t i, int) {
@@ -142,15 +154,16 @@ void Multifrontal::add_children(const Front& front, std::int32_t f, int rank, st
   }
 }
 
+// Returns -1, or the pivot of the front that broke.
 template <class Threads>
-void Multifrontal::eliminate(const Front& front, std::int32_t f, Threads&& threads) {
+std::int32_t Multifrontal::eliminate(const Front& front, std::int32_t f, Threads&& threads) {
   constexpr std::int32_t kPanel = Kernels::kPanel, kTile = Kernels::kTile;
   const std::int64_t column = layout_.first(f);
   double* const reciprocal = reciprocal_.data() + column;
   for (std::int32_t begin = 0; begin < front.pivots; begin += kPanel) {
     const std::int32_t broken =
         kernels_.factor_diagonal(front, begin, reciprocal, floor_.data() + column);
-    if (broken >= 0) return report_broken(column + broken);
+    if (broken >= 0) return broken;
     const std::int32_t end = std::min(begin + kPanel, front.pivots);
     const std::int32_t inside = chunks(front.pivots - end, kTile);
     threads.for_each(inside + chunks(front.rows, kTile), [&](std::int32_t i, int) {
@@ -160,6 +173,19 @@ void Multifrontal::eliminate(const Front& front, std::int32_t f, Threads&& threa
       kernels_.solve_rows(front, begin, reciprocal, below, first, last);
     });
   }
+  return -1;
+}
+
+// Returns whether that helps: not where nothing is to be held, nor where it was before.
+bool Multifrontal::hold(std::int64_t column) const {
+  if (!holding_) return false;
+  const int d = layout_.block_size();
+  const std::int32_t node = layout_.tree().order[column / d];
+  if (holding_->broken[node]) return false;
+  holding_->broken[node] = 1;
+  std::copy_n(&holding_->held[std::int64_t{node} * d], d,
+              &holding_->damping[std::int64_t{node} * d]);
+  return true;
 }
 
 void Multifrontal::report_broken(std::int64_t column) {

@@ -23,6 +23,11 @@ class Multifrontal {
   // same for any number of threads.
   std::int32_t factorize(std::span<const double> values, std::span<const double> damping);
 
+  // The same, but a node whose pivot breaks is held: `held` takes the place of its damping, and its
+  // front is computed anew. Marks these nodes in `broken`.
+  std::int32_t factorize(std::span<const double> values, std::span<double> damping,
+                         std::span<const double> held, std::vector<char>& broken);
+
   // Overwrites right-hand sides, in the elimination order, with the solutions. A row has `width`
   // of them side by side, one or as many as the kernels' `width`; more follow in further groups.
   void solve(std::span<double> x, int width);
@@ -39,11 +44,12 @@ class Multifrontal {
   template <class Threads>
   void process(std::int32_t f, int rank, Threads&& threads);
   template <class Threads>
-  void eliminate(const Front& front, std::int32_t f, Threads&& threads);
+  std::int32_t eliminate(const Front& front, std::int32_t f, Threads&& threads);
   bool matters(std::int32_t f) const;
   template <class Width, class Block>
   void solve_blocks(std::span<double> x, Width width, Block block) const;
   void report_broken(std::int64_t column);
+  bool hold(std::int64_t column) const;
 
   const FrontLayout& layout_;
   const Kernels& kernels_;
@@ -53,6 +59,12 @@ class Multifrontal {
   std::vector<AlignedBuffer> own_;          // of each thread
   std::vector<double> reciprocal_, floor_;  // of each pivot; at or below its floor it is broken
   std::span<const double> values_, damping_;
+  struct Holding {
+    std::span<double> damping;
+    std::span<const double> held;
+    std::vector<char>& broken;
+  };
+  const Holding* holding_ = nullptr;
   std::atomic<std::int64_t> broken_{0};  // the first broken column so far
 };
 

@@ -105,12 +105,12 @@ class _Search:
         edges[self._graph.edge_indices[self._loops.weak_edges(self.poses)]] = True
         nodes = around(places, _REACH) | around(edges, _WEAK_REACH)
         nodes[self._graph.index(self._graph.anchors)] = False
-        return any([self._try(part, self._lift) for part in self._surroundings.parts(nodes)])
+        return sum(self._try(part, self._lift) for part in self._surroundings.parts(nodes)) > 0
 
     def at_weak_loops(self) -> bool:
         """Lift the weak loops, and turn them once more; return whether that lowered chi2."""
-        lowered = False
-        everything = False
+        around = self._surroundings.around
+        lowered = most_lifted = False
         for loop in self._loops.promising(self.poses):
             if abs(loop.error - self._refused.get(loop.edge, np.inf)) < _STRAIGHT:
                 continue
@@ -119,14 +119,16 @@ class _Search:
             self._left -= 1
             turns = self._relative(loop)
             nodes = windings.apart(turns)
-            most = np.count_nonzero(nodes) > len(nodes) / 2
-            lower = not (most and everything) and self._try(
-                self._surroundings.around(nodes, _LOOP_REACH), self._lift
-            )
-            everything |= most
-            near = self._surroundings.around(nodes)
-            for axis in (loop.axis, -loop.axis):
-                lower = lower or self._try(near, partial(self._turn, axis, turns))
+            trials: list[tuple[Flags, Trial]] = [
+                (around(nodes), partial(self._turn, axis, turns))
+                for axis in (loop.axis, -loop.axis)
+            ]
+            most = bool(2 * np.count_nonzero(nodes) > len(nodes))
+            # Two lifts of most nodes are as good as the same.
+            if not (most and most_lifted):
+                trials.insert(0, (around(nodes, _LOOP_REACH), self._lift))
+            most_lifted |= most
+            lower = any(self._try(where, trial) for where, trial in trials)
             lowered |= lower
             if not lower:
                 self._refused[loop.edge] = loop.error

@@ -28,8 +28,6 @@ _SHIFTS = (1e-8, TIGHT / 4)
 # may lie at a plausible minimum: at .1 m and rad of noise those of the study's global minima lie
 # within the first. Farther than the second they mark the places where minima differ.
 _PLAUSIBLE, _WEAK = 5e-4, 0.02
-# Places that are told one by one: a factorisation each.
-_MOST_PLACES = 100
 _POLISHING = 60
 # The rank to lift to: in 2D one column more leaves local minima that two do not; in 3D the blocks
 # of a second one would be too large.
@@ -167,23 +165,18 @@ class Relaxation:
 
     def plausible(self, poses: Floats) -> bool:
         """Whether a minimum looks global, without a proof: its certificate fails by little."""
-        return len(self._failing(poses, _PLAUSIBLE, 0)) == 0
+        return len(self._failing(poses, _PLAUSIBLE)) == 0
 
     def weak_places(self, poses: Floats) -> Indices:
-        """Return places in `ids`, one or more wherever the certificate of a minimum fails.
+        """Return places in `ids`, one or more wherever the certificate of a minimum fails."""
+        return self._free[self._failing(poses, _WEAK)]
 
-        All of the free nodes if there are too many to tell.
-        """
-        found = self._failing(poses, _WEAK, _MOST_PLACES)
-        return self._free if len(found) > _MOST_PLACES else self._free[found]
-
-    def _failing(self, poses: Floats, share: float, most: int) -> Indices:
+    def _failing(self, poses: Floats, share: float) -> Indices:
         if len(self._free) == 0:
             return self._free
         x = self.unknowns(poses, self.graph.dimension)
         own = np.ascontiguousarray(x[self._free])
-        shift = share * self._scale
-        return _core.weak_nodes(self._matrix, self._assemble(x), own, shift, most)
+        return _core.weak_nodes(self._matrix, self._assemble(x), own, share * self._scale)
 
     def poses(self, x: Floats) -> Floats:
         """Return the poses nearest to unknowns of any rank, (n, 3) or (n, 7)."""

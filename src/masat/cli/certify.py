@@ -45,7 +45,8 @@ def certify(
     """
     options.check_writable(out, file)
     graph = options.load(file, file_format, indefinite, quiet)
-    proof = certified(graph, seed=seed, threads=threads)
+    with show.Wait(f"{file.name}  certificate", quiet=quiet):
+        proof = certified(graph, seed=seed, threads=threads)
     if out is not None and proof.better is not None:
         write(proof.better, out)
     if as_json:

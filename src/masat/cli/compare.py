@@ -35,7 +35,8 @@ def run(
     for init in INITIALIZERS:
         begin = perf_counter()
         try:
-            guess = initialize(graph, init)
+            with show.Wait(f"start {init}", quiet=quiet):
+                guess = initialize(graph, init)
         except InitializationError as refusal:
             refusals[init] = str(refusal)
             continue

@@ -61,7 +61,8 @@ def solve(
     begin = perf_counter()
     graph = options.load(file, file_format, indefinite, quiet)
     loaded = perf_counter()
-    guess = initialize(graph, init, root=root)
+    with show.Wait(f"{file.name}  start {init}", quiet=quiet):
+        guess = initialize(graph, init, root=root)
     guessed = perf_counter()
     if not quiet:
         options.notes(guess.notes[len(graph.notes) :])
@@ -86,7 +87,8 @@ def solve(
     times = {"read": loaded - begin, "initialize": guessed - loaded, "optimize": result.seconds}
     proof = None
     if result.converged and (as_json or not quiet):
-        proof = certify(result.graph, lift=False, threads=threads)
+        with show.Wait(f"{file.name}  certificate", quiet=quiet):
+            proof = certify(result.graph, lift=False, threads=threads)
     if as_json:
         about: dict[str, Any] = {
             "file": str(file),

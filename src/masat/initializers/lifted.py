@@ -13,6 +13,8 @@ from masat.optimizers import optimize
 
 # Iterations after which Gauss-Newton is not waited for.
 _SOON = 15
+# Of chi2: changes below it are near enough to a minimum for the check, and for the search.
+_NEAR = 1e-4
 
 
 def lifted(graph: PoseGraph, root: int | None = None, *, seed: int = 0) -> PoseGraph:
@@ -20,8 +22,8 @@ def lifted(graph: PoseGraph, root: int | None = None, *, seed: int = 0) -> PoseG
 
     Begins at the minimum near the chordal start. Where that does not look global, lower ones are
     sought around the places that leave doubt (`masat.minima`). Ends at the minimum of the chordal
-    cost, or of chi2 if doubt was left. Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Dellaert, Rosen, Wu,
-    Mahony, Carlone, Shonan rotation averaging, ECCV 2020.
+    cost, or of chi2 if doubt was left. Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR
+    2019; Dellaert, Rosen, Wu, Mahony, Carlone, Shonan rotation averaging, ECCV 2020.
     """
     guess = chordal(graph)
     poses, trusted = best_minimum(guess, seed=seed)
@@ -48,6 +50,8 @@ def best_minimum(guess: PoseGraph, *, seed: int = 0) -> tuple[Floats, bool]:
 
 
 def _near(guess: PoseGraph) -> PoseGraph:
-    """Return the graph at a minimum near a guess."""
-    soon = optimize(guess, "gauss_newton", max_iterations=_SOON, relative_tolerance=1e-4)
-    return soon.graph if soon.converged else optimize(guess, "dogleg").graph
+    """Return the graph near a minimum that a guess leads to."""
+    soon = optimize(guess, "gauss_newton", max_iterations=_SOON, relative_tolerance=_NEAR)
+    return (
+        soon.graph if soon.converged else optimize(guess, "dogleg", relative_tolerance=_NEAR).graph
+    )
