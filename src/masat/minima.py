@@ -32,7 +32,8 @@ _STRAIGHT = 0.01
 # than the second.
 _WORK, _LOOPS = 1_000_000, 10
 _ROUNDS = 20
-_VERY_LAST = 200
+# Iterations of Gauss-Newton to the end, and of what is surer and slower.
+_SOON, _VERY_LAST = 4, 100
 
 Trial = Callable[[Region], Result]
 
@@ -63,11 +64,11 @@ def lower_minimum(graph: PoseGraph, *, seed: int = 0) -> Result:
             break
         search.settle()
     found = graph.with_poses(search.poses)
-    end = optimize(found, "gauss_newton", relative_tolerance=1e-9, max_iterations=5)
-    if end.converged and end.chi2 <= search.chi2 * (1 + 1e-9):
+    end = optimize(found, "gauss_newton", relative_tolerance=1e-12, max_iterations=_SOON)
+    if end.converged and end.chi2 <= search.chi2:
         return end
     # Gauss-Newton leaves even the surroundings of some minima, but not the minimum itself.
-    return optimize(found, "dogleg", relative_tolerance=1e-12, max_iterations=_VERY_LAST)
+    return optimize(found, "dogleg", relative_tolerance=0.0, max_iterations=_VERY_LAST)
 
 
 class _Search:

@@ -124,10 +124,14 @@ class Relaxation:
 
     def can_lift(self) -> bool:
         """Whether memory allows a higher rank."""
+        return self.lifted_bytes() <= _MOST_MEMORY
+
+    def lifted_bytes(self) -> int:
+        """Return the size of a factor at the higher rank."""
         d = self.graph.dimension
         rank = _LIFTED_RANK[d]
         size = d * (d - 1) // 2 + d * (rank - d) + rank
-        return 8 * self.graph.elimination.fill(size) <= _MOST_MEMORY
+        return 8 * self.graph.elimination.fill(size)
 
     def lift(self, x: Floats, rng: np.random.Generator) -> Floats:
         """Return unknowns of a higher rank, the new columns filled with smooth noise."""

@@ -8,22 +8,30 @@ from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
 from masat.initializers.roots import rooted
+from masat.lifting import lift
 from masat.minima import lower_minimum
 from masat.optimizers import optimize
 
-# Iterations after which Gauss-Newton is not waited for.
+# Iterations of Gauss-Newton: a longer way leads, as like as not, to a minimum that is wrong far and
+# wide.
 _SOON = 15
 # Of chi2: changes below it are near enough to a minimum for the check, and for the search.
 _NEAR = 1e-4
+# chi2 this much lower, relatively, is another minimum.
+_LOWER = 1e-7
+_LIFTED = 1e-8
+# Bytes of a factor: all nodes are lifted where it takes no more, some seconds on one core.
+_AFFORDABLE = 3e8
 
 
 def lifted(graph: PoseGraph, root: int | None = None, *, seed: int = 0) -> PoseGraph:
     """Solve the chordal problem to its global minimum, in a higher rank where that takes one.
 
     Begins at the minimum near the chordal start. Where that does not look global, lower ones are
-    sought around the places that leave doubt (`masat.minima`). Ends at the minimum of the chordal
-    cost, or of chi2 if doubt was left. Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR
-    2019; Dellaert, Rosen, Wu, Mahony, Carlone, Shonan rotation averaging, ECCV 2020.
+    sought around the places that leave doubt (`masat.minima`), and of all nodes together where the
+    way to it was long. Ends at the minimum of the chordal cost, or of chi2 if doubt was left.
+    Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Dellaert, Rosen, Wu, Mahony,
+    Carlone, Shonan rotation averaging, ECCV 2020.
     """
     guess = chordal(graph)
     poses, trusted = best_minimum(guess, seed=seed)
@@ -38,20 +46,26 @@ def best_minimum(guess: PoseGraph, *, seed: int = 0) -> tuple[Floats, bool]:
     And whether that to which the guess led at once looked global.
     """
     try:
-        near = _near(guess)
+        near, soon = _near(guess)
         assert near.poses is not None
-        if relaxation.Relaxation(guess).plausible(near.poses):
+        relaxed = relaxation.Relaxation(guess)
+        if relaxed.plausible(near.poses):
             return near.poses, True
-        poses = lower_minimum(near, seed=seed).graph.poses
+        found = lower_minimum(near, seed=seed)
+        if not soon and relaxed.lifted_bytes() <= _AFFORDABLE:
+            lifted = guess.with_poses(lift(found.graph, seed=seed))
+            other = optimize(lifted, "dogleg", relative_tolerance=_LIFTED)
+            if other.chi2 < found.chi2 * (1 - _LOWER):
+                found = lower_minimum(other.graph, seed=seed)
     except OptimizationError as error:
         raise InitializationError(f"this start has to optimise, and cannot: {error}") from error
-    assert poses is not None
-    return poses, False
+    assert found.graph.poses is not None
+    return found.graph.poses, False
 
 
-def _near(guess: PoseGraph) -> PoseGraph:
-    """Return the graph near a minimum that a guess leads to."""
+def _near(guess: PoseGraph) -> tuple[PoseGraph, bool]:
+    """Return the graph near a minimum that a guess leads to, and whether it leads there soon."""
     soon = optimize(guess, "gauss_newton", max_iterations=_SOON, relative_tolerance=_NEAR)
-    return (
-        soon.graph if soon.converged else optimize(guess, "dogleg", relative_tolerance=_NEAR).graph
-    )
+    if soon.converged:
+        return soon.graph, True
+    return optimize(guess, "dogleg", relative_tolerance=_NEAR).graph, False
