@@ -1,8 +1,12 @@
 import os
+import re
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from masat import MasatWarning
+from masat.formats import read as read_file
 
 # Other work on the machine must not fail a test that is right.
 settings.register_profile("masat", deadline=None)
@@ -36,3 +40,32 @@ def data_dir():
 def reference_dir():
     """Folder of the outputs of the published MASAT program."""
     return _folder("MASAT_REFERENCE", "reference")
+
+
+@pytest.fixture(scope="module")
+def read(tmp_path_factory):
+    """Write text or bytes to a file and read it as a graph; a warning is an error."""
+    folder = tmp_path_factory.mktemp("formats")
+
+    def read(text, name="graph.txt", **options):
+        path = folder / name
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return read_file(path, **options)
+
+    return read
+
+
+@pytest.fixture
+def read_with_notes(read):
+    """Read, and check that each note is also a warning that names the file."""
+
+    def read_with_notes(text, **options):
+        with pytest.warns(MasatWarning) as caught:
+            graph = read(text, **options)
+        warned = [str(w.message) for w in caught]
+        assert len(warned) == len(graph.notes)
+        for note, warning in zip(graph.notes, warned, strict=True):
+            assert re.fullmatch(r".*graph\.txt: " + re.escape(note), warning)
+        return graph
+
+    return read_with_notes

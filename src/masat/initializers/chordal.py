@@ -19,7 +19,13 @@ def chordal(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     """
     poses, notes = anchored(graph)
     form = quadratic.rotation_form(graph, quadratic.rotation_weights(graph))
-    rotations = quadratic.rotations(poses)
-    problem = quadratic.Minimiser(graph, form, rotations)
-    turned = quadratic.nearest_rotations(graph, poses, problem(np.zeros_like(rotations)))
+    columns = quadratic.rotations(poses)
+    if graph.dimension == 2:
+        # The second column is the first, turned: so is all that the system makes of it.
+        columns = np.ascontiguousarray(columns[:, :, :1])
+    problem = quadratic.Minimiser(graph, form, columns)
+    solved = problem(np.zeros_like(columns))
+    if graph.dimension == 2:
+        solved = np.concatenate([solved, solved[:, ::-1] * [[-1.0], [1.0]]], axis=2)
+    turned = quadratic.nearest_rotations(graph, poses, solved)
     return rooted(graph, quadratic.settle(graph, turned, problem.matrix), root, notes)
