@@ -30,27 +30,37 @@ def measure(cell: str) -> str:
     """Return a line of the table."""
     world, sigmas = cell.split("/")
     sigma = tuple(float(s) for s in sigmas.split(","))
-    before, after, below, ratios = 0, 0, 0, []
+    runs, before, after, below = 0, 0, 0, 0
+    ratios = []
     for k in range(INSTANCES):
         graph = instance(Case(world, sigma, k))
-        control = solve(guess_of(graph, "ground_truth"), 50).chi2
-        plain = solve(guess_of(graph, "masat"), 50).seconds
+        control = solve(guess_of(graph, "ground_truth"), 50)
+        if not control.converged:
+            continue
+        plain = solve(guess_of(graph, "masat"), 50)
         local = masat.optimize(guess_of(graph, "chordal"), "dogleg")
         start = perf_counter()
         found = lower_minimum(local.graph)
-        ratios.append((perf_counter() - start) / plain)
-        before += local.chi2 > control * (1 + SAME)
-        after += found.chi2 > control * (1 + SAME)
-        below += found.chi2 < control * (1 - SAME)
-    return f"{cell:<30}{before:>8}{after:>8}{below:>8}{np.median(ratios):>8.2f}"
+        if plain.converged:
+            ratios.append((perf_counter() - start) / plain.seconds)
+        runs += 1
+        before += local.chi2 > control.chi2 * (1 + SAME)
+        after += found.chi2 > control.chi2 * (1 + SAME)
+        below += found.chi2 < control.chi2 * (1 - SAME)
+    counts = f"{runs:>6}{before:>8}{after:>8}{below:>8}"
+    return f"{cell:<30}{counts}{np.median(ratios):>8.2f} ({len(ratios)})"
 
 
 def main() -> None:
     """Print a table of counts, and of the median times over Gauss-Newton's from MASAT."""
-    print(f"{INSTANCES} instances a cell: how many minima near the chordal start lie above the")
-    print("control's; after the search, how many above and how many below; the search's time over")
-    print("that of Gauss-Newton from MASAT, median")
-    print(f"{'cell':<30}{'before':>8}{'above':>8}{'below':>8}{'time':>8}")
+    print(
+        f"of {INSTANCES} instances a cell those where the control converges: how many minima near"
+    )
+    print(
+        "the chordal start lie above its own; after the search, how many above and how many below;"
+    )
+    print("the search's time over that of Gauss-Newton from MASAT, median of those that converge")
+    print(f"{'cell':<30}{'runs':>6}{'before':>8}{'above':>8}{'below':>8}{'time':>8}")
     for cell in sys.argv[1:] or CELLS:
         print(measure(cell), flush=True)
 

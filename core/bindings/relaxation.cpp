@@ -26,14 +26,12 @@ void with_lifted(const GraphMatrix& matrix, const Stack& forcing, double constan
   const auto call = [&]<int D, int P>() { f(Lifted<D, P>(matrix, forcing.data(), constant)); };
   if (matrix.block_size() == 3 && rank == 2) {
     call.template operator()<2, 2>();
-  } else if (matrix.block_size() == 3 && rank == 3) {
-    call.template operator()<2, 3>();
   } else if (matrix.block_size() == 3 && rank == 4) {
     call.template operator()<2, 4>();
   } else if (matrix.block_size() == 4 && rank == 3) {
     call.template operator()<3, 3>();
   } else {
-    require(matrix.block_size() == 4 && rank == 4, "ranks are 2 to 4 in 2D, 3 and 4 in 3D");
+    require(matrix.block_size() == 4 && rank == 4, "ranks are 2 and 4 in 2D, 3 and 4 in 3D");
     call.template operator()<3, 4>();
   }
 }

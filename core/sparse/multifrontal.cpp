@@ -1,6 +1,7 @@
 #include "sparse/multifrontal.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 
 #include "sparse/block_size.hpp"
@@ -8,6 +9,7 @@
 namespace masat {
 namespace {
 
+constexpr double kTighter = 1e6;
 constexpr std::int64_t kNone = std::numeric_limits<std::int64_t>::max();
 
 template <int kSize>
@@ -176,16 +178,19 @@ std::int32_t Multifrontal::eliminate(const Front& front, std::int32_t f, Threads
   return -1;
 }
 
-// Returns whether that helps: not where nothing is to be held, nor where it was before.
+// Returns whether that may help: not where nothing is to be held, nor beyond all numbers.
 bool Multifrontal::hold(std::int64_t column) const {
   if (!holding_) return false;
   const int d = layout_.block_size();
   const std::int32_t node = layout_.tree().order[column / d];
-  if (holding_->broken[node]) return false;
+  double* const damping = &holding_->damping[std::int64_t{node} * d];
+  // A pivot that was hardly one makes of its neighbours' what no first hold may be a match for.
+  for (int i = 0; i < d; ++i) {
+    damping[i] = holding_->broken[node] ? kTighter * damping[i]
+                                        : holding_->held[std::int64_t{node} * d + i];
+  }
   holding_->broken[node] = 1;
-  std::copy_n(&holding_->held[std::int64_t{node} * d], d,
-              &holding_->damping[std::int64_t{node} * d]);
-  return true;
+  return std::all_of(damping, damping + d, [](double v) { return std::isfinite(v); });
 }
 
 void Multifrontal::report_broken(std::int64_t column) {

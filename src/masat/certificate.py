@@ -96,7 +96,7 @@ def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int 
     certified = solution.certified and not lower and other.chi2 - best.chi2 <= same
     exact = _exact(graph)
     if lower:
-        found = "the same minimum" if best is own else "another minimum"
+        found = "the same minimum" if own.chi2 - best.chi2 <= same else "another minimum"
         message = (
             f"not optimal: {found} has chi2 {best.chi2:.8g}, lower than {own.initial_chi2:.8g}"
         )

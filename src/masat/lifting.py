@@ -33,4 +33,7 @@ def lift(graph: PoseGraph, *, seed: int = 0) -> Floats:
         return graph.poses
     x = relaxed.unknowns(graph.poses, graph.dimension)
     top = relaxed.minimise_lifted(x, decrease=_DECREASE, seed=seed)
-    return quadratic.settle(graph, relaxed.poses(top.unknowns))
+    poses = relaxed.poses(top.unknowns)
+    held = graph.index(graph.anchors)
+    poses[held] = graph.poses[held]
+    return quadratic.settle(graph, poses)

@@ -9,6 +9,7 @@ import numpy as np
 
 from masat import lie, quadratic, windings
 from masat.arrays import Flags, Floats
+from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.lifting import lift
 from masat.optimizers import Iteration, Result, optimize
@@ -16,8 +17,8 @@ from masat.optimizers.equations import edge_chi2
 from masat.regions import Region, Surroundings
 from masat.relaxation import Relaxation
 
-# chi2 this much lower, relatively, is another minimum.
-_LOWER = 1e-7
+# chi2 this much lower, relatively, is another minimum; near one its changes are below the second.
+LOWER, NEAR = 1e-7, 1e-8
 # Edges from a place where the certificate fails, from a weak edge, and from the nodes that a loop
 # turns: what lies no farther is lifted.
 _REACH, _WEAK_REACH, _LOOP_REACH = 6, 3, 3
@@ -25,15 +26,15 @@ _REACH, _WEAK_REACH, _LOOP_REACH = 6, 3, 3
 _NEARLY = 5.0
 # A trial ends where so many more steps like the last would not bring it near.
 _HOPE = 40
-# Radians: a loop whose error has changed by less need not be tried again, and nodes that moved less
-# are where they were.
+# Radians: a loop whose error has changed by less need not be tried again; and no coordinate of a
+# node that has not moved has changed by more, metres too.
 _STRAIGHT = 0.01
 # How many loops are tried at the most: the first divided by the nodes of the graph, but not fewer
 # than the second.
 _WORK, _LOOPS = 1_000_000, 10
 _ROUNDS = 20
-# Iterations of Gauss-Newton to the end, and of what is surer and slower.
-_SOON, _VERY_LAST = 4, 100
+# Iterations of Gauss-Newton to the very end, and of what is surer and slower.
+_LAST, _VERY_LAST = 4, 100
 
 Trial = Callable[[Region], Result]
 
@@ -44,7 +45,7 @@ def lower_minimum(graph: PoseGraph, *, seed: int = 0) -> Result:
     Nodes are lifted (`masat.lifting`), the rest held still: first those around the places where
     the certificate fails and around weak edges, each connected part for itself, as long as that
     lowers chi2; then those of each weak loop (`masat.windings`), which are also turned once more,
-    either way. After each that lowers chi2 all begins anew.
+    either way. What lowers chi2 stands at once; after a round that did, all begins anew.
 
     Parameters
     ----------
@@ -57,6 +58,11 @@ def lower_minimum(graph: PoseGraph, *, seed: int = 0) -> Result:
     -------
     Result
         Of the optimiser, at the lowest minimum met.
+
+    Raises
+    ------
+    OptimizationError
+        If the graph has no poses.
     """
     search = _Search(graph, seed)
     for _ in range(_ROUNDS):
@@ -64,7 +70,7 @@ def lower_minimum(graph: PoseGraph, *, seed: int = 0) -> Result:
             break
         search.settle()
     found = graph.with_poses(search.poses)
-    end = optimize(found, "gauss_newton", relative_tolerance=1e-12, max_iterations=_SOON)
+    end = optimize(found, "gauss_newton", relative_tolerance=1e-12, max_iterations=_LAST)
     if end.converged and end.chi2 <= search.chi2:
         return end
     # Gauss-Newton leaves even the surroundings of some minima, but not the minimum itself.
@@ -75,12 +81,14 @@ class _Search:
     """The lowest minimum met so far."""
 
     def __init__(self, graph: PoseGraph, seed: int) -> None:
-        assert graph.poses is not None
+        if graph.poses is None:
+            raise OptimizationError("the graph has no poses: there is no minimum to begin at")
         self.poses = graph.poses
         self._graph = graph
         self._seed = seed
-        self.settle()
-        self._unit = windings.chi2_unit(graph.with_poses(self.poses))
+        settled = self.settle()
+        # Of chi2: less than one where the information promises less than it keeps.
+        self._unit = min(1.0, settled.reduced_chi2 or 1.0)
         self._relaxed = Relaxation(graph)
         self._loops = windings.WeakLoops(graph, self._unit)
         self._surroundings = Surroundings(graph)
@@ -93,9 +101,11 @@ class _Search:
         self._gauge = anchors[held[labels[anchors]] == 1]
         self._held = anchors[held[labels[anchors]] > 1]
 
-    def settle(self) -> None:
+    def settle(self) -> Result:
         """Go to the minimum."""
-        self.poses, self.chi2 = _minimum(self._graph, self.poses)
+        result = _minimum(self._graph, self.poses)
+        self.poses, self.chi2 = _poses(result), result.chi2
+        return result
 
     def at_weak_places(self) -> bool:
         """Lift what lies around the weak places; return whether that lowered chi2."""
@@ -148,7 +158,7 @@ class _Search:
         # What is rounded lies between minima: one method may end in a lower one than the other.
         return min(
             (
-                optimize(start, method, relative_tolerance=1e-8, max_iterations=50)
+                optimize(start, method, relative_tolerance=NEAR, max_iterations=50)
                 for method in ("dogleg", "levenberg_marquardt")
             ),
             key=lambda result: result.chi2,
@@ -176,19 +186,23 @@ class _Search:
         if not nodes.any():
             return False
         region = self._surroundings.region(before, nodes)
-        places = region.graph.ids
-        result = trial(region)
-        assert result.graph.poses is not None
+        try:
+            result = trial(region)
+        except (InitializationError, OptimizationError):
+            # A part may be too badly conditioned for what the whole can bear.
+            return False
+        places = region.graph.ids[region.inside]
         poses = before.copy()
-        poses[places] = result.graph.poses
+        poses[places] = _poses(result)[region.inside]
         if np.abs(lie.local(before[places], poses[places])).max() < _STRAIGHT:
             return False
         self._put_back(poses, nodes)
         chi2 = self.chi2 + result.chi2 - float(edge_chi2(region.graph).sum())
-        lower = self.chi2 * (1 - _LOWER)
+        lower = self.chi2 * (1 - LOWER)
         if lower <= chi2 < self.chi2 + _NEARLY * self._unit:
             # Nearly as low: with all nodes free it may be lower.
-            poses, chi2 = _minimum(graph, poses, _Hope(lower, chi2))
+            free = _minimum(graph, poses, _Hope(lower, chi2))
+            poses, chi2 = _poses(free), free.chi2
         if chi2 < lower:
             self.poses, self.chi2 = poses, chi2
             return True
@@ -216,14 +230,17 @@ class _Hope:
         return step.chi2 - self._mark > _HOPE * gained
 
 
-def _minimum(graph: PoseGraph, poses: Floats, report: _Hope | None = None) -> tuple[Floats, float]:
-    """Return the poses of the minimum that an optimiser finds from some, and chi2 there."""
-    result = optimize(
+def _minimum(graph: PoseGraph, poses: Floats, report: _Hope | None = None) -> Result:
+    """Return the minimum that an optimiser finds from some poses."""
+    return optimize(
         graph.with_poses(poses),
         "dogleg",
-        relative_tolerance=1e-8,
+        relative_tolerance=NEAR,
         max_iterations=50,
         report=report,
     )
+
+
+def _poses(result: Result) -> Floats:
     assert result.graph.poses is not None
-    return result.graph.poses, result.chi2
+    return result.graph.poses

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from masat import _core
 from masat.arrays import Flags, Floats, Ids
 from masat.graph import PoseGraph
 
@@ -27,7 +28,7 @@ class Region(NamedTuple):
 
 
 class Surroundings:
-    """Tells which edges and nodes lie around some nodes of a graph, in time linear in these."""
+    """Tells which edges and nodes lie around some nodes of a graph."""
 
     def __init__(self, graph: PoseGraph) -> None:
         self.graph = graph
@@ -76,15 +77,9 @@ class Surroundings:
         places = np.flatnonzero(nodes)
         if len(places) == 0:
             return
-        joined = PoseGraph(
-            ids=places,
-            poses=None,
-            edges=graph.edge_indices[edges].astype(np.int64),
-            measurements=np.ascontiguousarray(graph.measurements[edges]),
-            information=np.ascontiguousarray(graph.information[edges]),
-            fixed=places[:0],
-        )
-        for part in range(joined.components.max() + 1):
+        ends = np.searchsorted(places, graph.edge_indices[edges]).astype(np.int32)
+        part_of = _core.Topology(len(places), np.ascontiguousarray(ends)).components()
+        for part in range(part_of.max() + 1):
             own = np.zeros_like(nodes)
-            own[places[joined.components == part]] = True
+            own[places[part_of == part]] = True
             yield own

@@ -25,13 +25,13 @@ TIGHT = 1e-3
 # the gap.
 _SHIFTS = (1e-8, TIGHT / 4)
 # How far below zero, as a share of the median weight of a rotation, the certificate's eigenvalues
-# may lie at a plausible minimum: at .1 m and rad of noise those of the study's global minima lie
-# within the first. Farther than the second they mark the places where minima differ.
+# may lie at a plausible minimum: at .1 m and rad of noise those of the study's global minima mostly
+# lie within the first. Farther than the second they mark the places where minima differ.
 _PLAUSIBLE, _WEAK = 5e-4, 0.02
 _POLISHING = 60
 # The rank to lift to: in 2D one column more leaves local minima that two do not; in 3D the blocks
 # of a second one would be too large.
-_LIFTED_RANK = {2: 4, 3: 4}
+_LIFTED_RANK = 4
 _NOISE = 0.3
 # Bytes of a factor that a higher rank may take.
 _MOST_MEMORY = 4e9
@@ -129,15 +129,13 @@ class Relaxation:
     def lifted_bytes(self) -> int:
         """Return the size of a factor at the higher rank."""
         d = self.graph.dimension
-        rank = _LIFTED_RANK[d]
-        size = d * (d - 1) // 2 + d * (rank - d) + rank
+        size = d * (d - 1) // 2 + d * (_LIFTED_RANK - d) + _LIFTED_RANK
         return 8 * self.graph.elimination.fill(size)
 
     def lift(self, x: Floats, rng: np.random.Generator) -> Floats:
         """Return unknowns of a higher rank, the new columns filled with smooth noise."""
         d, old = self.graph.dimension, x.shape[2]
-        rank = _LIFTED_RANK[d]
-        out = np.zeros((*x.shape[:2], rank))
+        out = np.zeros((*x.shape[:2], _LIFTED_RANK))
         out[:, :, :old] = x
         self._assemble(out)
         damping = np.tile([5e-4 * self._scale] * d + [0.0], len(self._free))
@@ -146,7 +144,7 @@ class Relaxation:
             raise InitializationError(
                 f"the edges around node {self.graph.ids[self._free[broken]]} do not determine it"
             )
-        noise = rng.normal(size=(len(self._free), d + 1, rank - old))
+        noise = rng.normal(size=(len(self._free), d + 1, _LIFTED_RANK - old))
         smooth = self._matrix.solve(noise)
         out[self._free, :, old:] = smooth * (_NOISE / np.sqrt(np.square(smooth[:, :d]).mean()))
         return out

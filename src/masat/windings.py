@@ -15,28 +15,17 @@ import numpy as np
 from masat import _core, lie, quadratic
 from masat.arrays import Flags, Floats, Indices
 from masat.graph import PoseGraph
-from masat.optimizers.equations import edge_chi2
 
 _TURN = 2 * np.pi
 # Of a turn, what an edge may keep for itself: with half of it, it is back where it was.
 _MOST_SLACK = 0.5
 # What a turn must promise, seen from the rotations alone: positions always add to it. In units of
-# chi2 (`chi2_unit`).
+# chi2.
 _PROMISE = 3.0
 # Edges that take more than this share of what the loop's own edge takes are of the same loop.
 _SHARED = 0.5
 # Radians: nodes that turn by less hold still while a turn is tried.
 _STILL = 0.2
-
-
-def chi2_unit(graph: PoseGraph) -> float:
-    """Return the chi2 that counts as one.
-
-    The reduced chi2 where that is below 1: the information promises less than it keeps there.
-    """
-    free = len(graph.ids) - len(graph.anchors)
-    freedom = graph.dof * (len(graph.edges) - free)
-    return min(1.0, float(edge_chi2(graph).sum()) / freedom) if freedom > 0 else 1.0
 
 
 class Loop(NamedTuple):
@@ -71,7 +60,7 @@ class WeakLoops:
     ----------
     graph : PoseGraph
     unit : float
-        Of chi2.
+        The chi2 that counts as one.
     """
 
     def __init__(self, graph: PoseGraph, unit: float = 1.0) -> None:
@@ -160,7 +149,10 @@ def turned(poses: Floats, axis: Floats, angles: Floats) -> Floats:
 
 def stilled(angles: Floats, own: Flags) -> Floats:
     """Return angles about the mean of some nodes, so that as many as possible hold still."""
-    return np.where(own, angles - np.angle(np.exp(1j * angles[own]).mean()), 0.0)
+    mean = np.exp(1j * angles[own]).mean()
+    # Where no way is preferred, that of rounding errors must not be.
+    away = np.angle(mean) if abs(mean) > 1e-9 else 0.0
+    return np.where(own, angles - away, 0.0)
 
 
 def apart(angles: Floats) -> Flags:

@@ -37,10 +37,10 @@ def run(
         try:
             with show.Wait(f"start {init}", quiet=quiet):
                 guess = initialize(graph, init)
+                seconds = perf_counter() - begin
         except InitializationError as refusal:
             refusals[init] = str(refusal)
             continue
-        seconds = perf_counter() - begin
         with show.Watch(init, limits.get("max_iterations", 100), quiet=quiet) as watch:
             runs.append(Run(init, seconds, guess, optimize(guess, method, report=watch, **limits)))
     return runs, refusals

@@ -7,7 +7,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import click
 
@@ -15,7 +15,7 @@ from masat.certificate import Certificate
 from masat.optimizers import Iteration, Result
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from rich.progress import Progress, ProgressColumn
 
 _PATIENCE = 0.5  # seconds before a progress line appears
 
@@ -85,83 +85,83 @@ def summary(result: Result) -> dict[str, Any]:
     }
 
 
-class Watch:
-    """A progress line on standard error for an optimisation that takes its time.
-
-    Nothing is shown for short ones, to --quiet, and where standard error is no terminal.
-    """
-
-    def __init__(self, what: str, limit: int, *, quiet: bool) -> None:
-        self._what = what
-        self._limit = limit
-        self._silent = quiet or not sys.stderr.isatty()
-        self._since = perf_counter()
-        self._count = 0
-        self._bar: Progress | None = None
-
-    def __call__(self, iteration: Iteration) -> None:
-        """Take note of an iteration."""
-        self._count += 1
-        if self._silent or (self._bar is None and perf_counter() - self._since < _PATIENCE):
-            return
-        if self._bar is None:
-            from rich.console import Console
-            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-            self._bar = Progress(
-                TextColumn("{task.description}"),
-                BarColumn(),
-                TextColumn("{task.completed} of at most {task.total} iterations"),
-                TimeElapsedColumn(),
-                console=Console(stderr=True),
-                transient=True,
-            )
-            self._bar.add_task("", total=self._limit)
-            self._bar.start()
-        self._bar.update(
-            self._bar.task_ids[0],
-            completed=self._count,
-            description=f"{self._what}  chi2 {iteration.chi2:.6g}",
-        )
-
-    def __enter__(self) -> Watch:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-
-
-class Wait:
-    """A line on standard error with the time that goes by, for work that does not report.
+class _Line:
+    """A line on standard error that goes when the work is done.
 
     Nothing is shown for short work, to --quiet, and where standard error is no terminal.
     """
 
     def __init__(self, what: str, *, quiet: bool) -> None:
         self._what = what
-        self._timer = threading.Timer(_PATIENCE, self._start)
         self._silent = quiet or not sys.stderr.isatty()
         self._bar: Progress | None = None
 
-    def _start(self) -> None:
+    def _show(self, *columns: ProgressColumn, total: int | None = None) -> Progress:
         from rich.console import Console
-        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress
 
-        columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
         self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
-        self._bar.add_task(self._what)
+        self._bar.add_task(self._what, total=total)
         self._bar.start()
+        return self._bar
 
-    def __enter__(self) -> Wait:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+
+class Watch(_Line):
+    """Shows the progress of an optimisation."""
+
+    def __init__(self, what: str, limit: int, *, quiet: bool) -> None:
+        super().__init__(what, quiet=quiet)
+        self._limit = limit
+        self._since = perf_counter()
+        self._count = 0
+
+    def __call__(self, iteration: Iteration) -> None:
+        """Take note of an iteration."""
+        self._count += 1
+        bar = self._bar
+        if self._silent or (bar is None and perf_counter() - self._since < _PATIENCE):
+            return
+        if bar is None:
+            from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+
+            bar = self._show(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TextColumn("{task.completed} of at most {task.total} iterations"),
+                TimeElapsedColumn(),
+                total=self._limit,
+            )
+        bar.update(
+            bar.task_ids[0],
+            completed=self._count,
+            description=f"{self._what}  chi2 {iteration.chi2:.6g}",
+        )
+
+
+class Wait(_Line):
+    """Shows the time that goes by, for work that does not report."""
+
+    def __enter__(self) -> Self:
+        self._timer = threading.Timer(_PATIENCE, self._start)
         if not self._silent:
             self._timer.daemon = True
             self._timer.start()
         return self
 
+    def _start(self) -> None:
+        from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        self._show(SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+
     def __exit__(self, *_: object) -> None:
         if not self._silent:
             self._timer.cancel()
             self._timer.join()
-        if self._bar is not None:
-            self._bar.stop()
+        super().__exit__()

@@ -63,7 +63,7 @@ def solve(
     loaded = perf_counter()
     with show.Wait(f"{file.name}  start {init}", quiet=quiet):
         guess = initialize(graph, init, root=root)
-    guessed = perf_counter()
+        guessed = perf_counter()
     if not quiet:
         options.notes(guess.notes[len(graph.notes) :])
     with show.Watch(file.name, max_iterations, quiet=quiet) as watch:

@@ -13,7 +13,8 @@ def auto(graph: PoseGraph, root: int | None = None) -> PoseGraph:
 
     The chordal start, optimised; if the minimum looks global
     (`masat.relaxation.Relaxation.plausible`), it is the start. If not, lower ones are sought around
-    the places that leave doubt (`masat.minima`). The rule is measured in docs/starts.md.
+    the places that leave doubt (`masat.minima`), and of all nodes together where the way to the
+    first was long. The rule is measured in docs/starts.md.
     """
     guess = chordal(graph)
     poses, _ = best_minimum(guess)

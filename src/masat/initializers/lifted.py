@@ -9,17 +9,14 @@ from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
 from masat.initializers.roots import rooted
 from masat.lifting import lift
-from masat.minima import lower_minimum
+from masat.minima import LOWER, NEAR, lower_minimum
 from masat.optimizers import optimize
 
 # Iterations of Gauss-Newton: a longer way leads, as like as not, to a minimum that is wrong far and
 # wide.
 _SOON = 15
 # Of chi2: changes below it are near enough to a minimum for the check, and for the search.
-_NEAR = 1e-4
-# chi2 this much lower, relatively, is another minimum.
-_LOWER = 1e-7
-_LIFTED = 1e-8
+_ABOUT = 1e-4
 # Bytes of a factor: all nodes are lifted where it takes no more, some seconds on one core.
 _AFFORDABLE = 3e8
 
@@ -54,8 +51,8 @@ def best_minimum(guess: PoseGraph, *, seed: int = 0) -> tuple[Floats, bool]:
         found = lower_minimum(near, seed=seed)
         if not soon and relaxed.lifted_bytes() <= _AFFORDABLE:
             lifted = guess.with_poses(lift(found.graph, seed=seed))
-            other = optimize(lifted, "dogleg", relative_tolerance=_LIFTED)
-            if other.chi2 < found.chi2 * (1 - _LOWER):
+            other = optimize(lifted, "dogleg", relative_tolerance=NEAR)
+            if other.chi2 < found.chi2 * (1 - LOWER):
                 found = lower_minimum(other.graph, seed=seed)
     except OptimizationError as error:
         raise InitializationError(f"this start has to optimise, and cannot: {error}") from error
@@ -65,7 +62,7 @@ def best_minimum(guess: PoseGraph, *, seed: int = 0) -> tuple[Floats, bool]:
 
 def _near(guess: PoseGraph) -> tuple[PoseGraph, bool]:
     """Return the graph near a minimum that a guess leads to, and whether it leads there soon."""
-    soon = optimize(guess, "gauss_newton", max_iterations=_SOON, relative_tolerance=_NEAR)
+    soon = optimize(guess, "gauss_newton", max_iterations=_SOON, relative_tolerance=_ABOUT)
     if soon.converged:
         return soon.graph, True
-    return optimize(guess, "dogleg", relative_tolerance=_NEAR).graph, False
+    return optimize(guess, "dogleg", relative_tolerance=_ABOUT).graph, False
