@@ -209,19 +209,26 @@ def test_without_poses_there_is_no_minimum():
 
 
 def test_no_place_is_lost_where_a_pivot_is_hardly_one():
-    """At shifts within 1e-7 of where a pivot breaks, a first hold is not enough."""
-    graph = two_rings()
+    """Just beyond the shift at which another node breaks first, a first hold is not enough."""
+    both = two_rings()
+    information = both.information.copy()
+    information[:12] /= 2
+    graph = PoseGraph.from_arrays(
+        both.edges, both.measurements, information, poses=both.poses, fixed=[20]
+    )
     relaxed = Relaxation(graph)
 
     def tell(share):
-        return len(relaxed._failing(graph.poses, share))
+        return relaxed._free[relaxed._failing(graph.poses, share)]
 
-    low, high = 0.0, 4.0
-    while high - low > 1e-12 * high:
+    low, high = 0.01, 0.05
+    first = tell(low)[0]
+    assert tell(high)[0] != first
+    while high - low > 1e-14:
         middle = (low + high) / 2
-        low, high = (middle, high) if tell(middle) else (low, middle)
-    for share in low * (1 - np.geomspace(1e-12, 1e-2, 40)):
-        places = relaxed._free[relaxed._failing(graph.poses, share)]
+        low, high = (middle, high) if tell(middle)[0] == first else (low, middle)
+    for share in high * (1 + np.geomspace(1e-12, 1e-3, 40)):
+        places = tell(share)
         assert places.min() < 12
         assert places.max() >= 12 + CHAIN
 
