@@ -19,13 +19,14 @@ def chordal(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     """
     poses, notes = anchored(graph)
     form = quadratic.rotation_form(graph, quadratic.rotation_weights(graph))
-    columns = quadratic.rotations(poses)
-    if graph.dimension == 2:
-        # The second column is the first, turned: so is all that the system makes of it.
-        columns = np.ascontiguousarray(columns[:, :, :1])
+    d, held = graph.dimension, graph.index(graph.anchors)
+    # In 2D the second column is the first, turned: so is all that the system makes of it.
+    columns = np.zeros((len(poses), d, 1 if d == 2 else d))
+    columns[held] = quadratic.rotations(poses[held])[:, :, : columns.shape[2]]
     problem = quadratic.Minimiser(graph, form, columns)
     solved = problem(np.zeros_like(columns))
-    if graph.dimension == 2:
-        solved = np.concatenate([solved, solved[:, ::-1] * [[-1.0], [1.0]]], axis=2)
+    if d == 2:
+        a, b = solved[:, :, 0].T
+        solved = np.array([[a, b], [-b, a]]).transpose(2, 1, 0)
     turned = quadratic.nearest_rotations(graph, poses, solved)
     return rooted(graph, quadratic.settle(graph, turned, problem.matrix), root, notes)
