@@ -414,6 +414,19 @@ def test_the_report_holds_tables_figures_and_one_page(finished, tmp_path):
     assert rates[0].startswith("world,noise,spanning_tree,paper,masat,paper,ground_truth")
 
 
+def test_a_study_of_the_papers_cells_may_do_without_masat(tmp_path):
+    from masat.study.report import build_report
+
+    case = Case("City10k", (0.35, 0.35, 0.35), 0)
+    design = Design(worlds=("City10k",), sigmas=(case.sigma,), instances=1, starts=("chordal",))
+    with Store(tmp_path / "store", design) as store:
+        store.add([trial([5.0, 4.0, 4.0], case, "chordal")])
+        build_report(store, tmp_path / "report")
+    rates = (tmp_path / "report" / "table1_relative.csv").read_text().splitlines()
+    assert rates[0] == "world,noise,chordal"
+    assert not (tmp_path / "report" / "agreement.csv").exists()
+
+
 def test_cells_outside_the_papers_interval_are_named():
     from masat.study.report.cells import cells_of
     from masat.study.report.tables import outside, success_table

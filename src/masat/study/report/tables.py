@@ -58,9 +58,9 @@ def paper_table_test(cells: list[Cell], start: str) -> Table:
     paper, rows = paper_table(1), []
     for cell in cells:
         published = paper.get((cell.world, cell.sigma), {})
-        if start not in published:
-            continue
         k, n = cell.rate(start)
+        if start not in published or n == 0:
+            continue
         low, high = wilson(k, n)
         theirs = float(published[start])
         p = fisher(k, n, round(PAPER_INSTANCES * theirs), PAPER_INSTANCES)
