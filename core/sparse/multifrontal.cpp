@@ -186,8 +186,8 @@ bool Multifrontal::hold(std::int64_t column) const {
   double* const damping = &holding_->damping[std::int64_t{node} * d];
   // A pivot that was hardly one makes of its neighbours' what no first hold may be a match for.
   for (int i = 0; i < d; ++i) {
-    damping[i] = holding_->broken[node] ? kTighter * damping[i]
-                                        : holding_->held[std::int64_t{node} * d + i];
+    damping[i] =
+        holding_->broken[node] ? kTighter * damping[i] : holding_->held[std::int64_t{node} * d + i];
   }
   holding_->broken[node] = 1;
   return std::all_of(damping, damping + d, [](double v) { return std::isfinite(v); });

@@ -23,8 +23,8 @@ class Multifrontal {
   // same for any number of threads.
   std::int32_t factorize(std::span<const double> values, std::span<const double> damping);
 
-  // The same, but a node whose pivot breaks is held: `held`, or more where that is not enough, takes
-  // the place of its damping, and its front is computed anew. Marks these nodes in `broken`.
+  // The same, but a node whose pivot breaks is held: `held`, or more where that is not enough,
+  // takes the place of its damping, and its front is computed anew. Marks these nodes in `broken`.
   std::int32_t factorize(std::span<const double> values, std::span<double> damping,
                          std::span<const double> held, std::vector<char>& broken);
 
