@@ -26,7 +26,7 @@ format: $(VENV)/.lint
 	$(BIN)/ruff format .
 	git ls-files '*.cpp' '*.hpp' | xargs $(BIN)/clang-format -i
 
-# The readers' fuzz test on a core with address and undefined-behaviour sanitizers.
+# The readers' fuzz test on a core with address and undefined-behavior sanitizers.
 sanitize: $(VENV)/.test
 	$(BIN)/pip install -q --no-deps --target build/sanitized --upgrade . -C cmake.define.MASAT_SANITIZE=ON \
 	  -C cmake.define.CMAKE_COMPILE_WARNING_AS_ERROR=ON

@@ -15,12 +15,12 @@ class Cholmod:
     """A system in CHOLMOD's form, and its steps as tasks to time."""
 
     def __init__(self, system: System, order: Ids | None = None) -> None:
-        """Analyse in CHOLMOD's own ordering, or in this one of the unknowns."""
+        """Analyze in CHOLMOD's own ordering, or in this one of the unknowns."""
         self._matrix = _sparse(system.rows, system.columns, system.values, system.size)
         self._order = None if order is None else matrix(order)
-        self._factor = self.analyse()
+        self._factor = self.analyze()
 
-    def analyse(self) -> Any:
+    def analyze(self) -> Any:
         """Order, and find the pattern of the factor."""
         # 0: the best of those that CHOLMOD knows; 1: the one given.
         if self._order is None:
@@ -30,7 +30,7 @@ class Cholmod:
         return cholmod.symbolic(self._matrix, p=self._order)
 
     def factorize(self) -> None:
-        """Factorise the numbers."""
+        """Factorize the numbers."""
         cholmod.numeric(self._matrix, self._factor)
 
     def solve(self, b: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Numeric factorisation of the normal equations: the core's against CHOLMOD's.
+"""Numeric factorization of the normal equations: the core's against CHOLMOD's.
 
 Run `python -m benchmarks.factor [GRAPH ...]`; needs the extra `bench`, and the data (MASAT_DATA).
 """
@@ -58,7 +58,7 @@ def graph_of(name: str) -> masat.PoseGraph:
     return masat.initialize(graph)
 
 
-def analyse(graph: masat.PoseGraph) -> None:
+def analyze(graph: masat.PoseGraph) -> None:
     """Order the nodes anew, and lay out the factor."""
     graph.__dict__.pop("elimination", None)
     normal_equations(graph)
@@ -86,8 +86,8 @@ def measure(graph: masat.PoseGraph, rounds: int = 3) -> Row:
     better = own if times["own"] < times["block"] else block
     times |= medians(
         {
-            "analyse": partial(analyse, graph),
-            "cholmod analyse": better.analyse,
+            "analyze": partial(analyze, graph),
+            "cholmod analyze": better.analyze,
             "solve": one.solve,
             "cholmod solve": partial(better.solve, b),
         },
@@ -102,11 +102,11 @@ def measure(graph: masat.PoseGraph, rounds: int = 3) -> Row:
 def main() -> None:
     """Print a table of medians, ratios and errors."""
     single_threaded()
-    print("numeric factorisation, medians in ms; ratio to the better CHOLMOD on one thread, wanted")
+    print("numeric factorization, medians in ms; ratio to the better CHOLMOD on one thread, wanted")
     print(f"at most {WANTED}, and with two threads {WANTED_OF_TWO} in 3D and on {CITY}")
     print(
         f"{'graph':<16}{'unknowns':>9}{'masat':>8}{'2 thr.':>8}{'CHOLMOD':>9}{'block':>7}"
-        f"{'ratio':>7}{'2 thr.':>7}  {'analyse':>13}{'solve':>12}{'residual':>17}"
+        f"{'ratio':>7}{'2 thr.':>7}  {'analyze':>13}{'solve':>12}{'residual':>17}"
         f"{'backward error':>18}"
     )
     for name in sys.argv[1:] or [*CASES, CITY]:
@@ -115,7 +115,7 @@ def main() -> None:
         print(
             f"{name:<16}{row.unknowns:>9}{t['one']:>8.2f}{t['two']:>8.2f}{t['own']:>9.2f}"
             f"{t['block']:>7.1f}{row.ratio:>7.2f}{row.ratio_of_two:>7.2f}  "
-            f"{t['analyse']:>6.1f}/{t['cholmod analyse']:<6.1f}"
+            f"{t['analyze']:>6.1f}/{t['cholmod analyze']:<6.1f}"
             f"{t['solve']:>6.2f}/{t['cholmod solve']:<5.2f}"
             f"{row.residual[0]:>9.0e}/{row.residual[1]:<7.0e}"
             f"{row.backward[0]:>9.0e}/{row.backward[1]:<7.0e}",

@@ -34,9 +34,9 @@ _ITERATION = ("M3500", "city10000", "parking-garage", "sphere2500")
 _START = ("M3500", "city10000")
 
 
-def factorise(name: str) -> dict[str, float]:
-    """Compare the numeric factorisation with CHOLMOD's."""
-    return {f"factorise {name} / CHOLMOD": measure(graph_of(name)).ratio}
+def factorize(name: str) -> dict[str, float]:
+    """Compare the numeric factorization with CHOLMOD's."""
+    return {f"factorize {name} / CHOLMOD": measure(graph_of(name)).ratio}
 
 
 def iterate(folder: Path, name: str) -> dict[str, float]:
@@ -62,7 +62,7 @@ def start(folder: Path, name: str) -> dict[str, float]:
 def measurements(folder: Path) -> list[Callable[[], dict[str, float]]]:
     """Return what is measured: each gives ratios of masat's time to a peer's, in one go."""
     return [
-        *(partial(factorise, name) for name in _FACTOR),
+        *(partial(factorize, name) for name in _FACTOR),
         *(partial(iterate, folder, name) for name in _ITERATION),
         *(partial(start, folder, name) for name in _START),
     ]

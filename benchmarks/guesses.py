@@ -36,7 +36,7 @@ LIFTED = {2: 1 / 5, 3: 1 / 3}
 
 
 def fresh(graph: masat.PoseGraph, method: str) -> masat.PoseGraph:
-    """Initialise a copy for which nothing has been built yet."""
+    """Initialize a copy for which nothing has been built yet."""
     return masat.initialize(replace(graph), method)
 
 
@@ -45,7 +45,7 @@ def iterate(graph: masat.PoseGraph) -> masat.Result:
     return masat.optimize(replace(graph), "gauss_newton", max_iterations=1)
 
 
-def optimised(case: Case, graph: masat.PoseGraph, method: str) -> None:
+def optimized(case: Case, graph: masat.PoseGraph, method: str) -> None:
     """Go from the graph to its best map."""
     result = masat.optimize(fresh(graph, method), "gauss_newton", relative_tolerance=1e-6)
     if not case.reached(result.chi2):
@@ -59,15 +59,15 @@ def measure(case: Case) -> str:
         {
             "iteration": partial(iterate, masat.initialize(replace(graph))),
             "masat": partial(masat.initialize, graph, "masat"),
-            "surest_first": partial(masat.initialize, graph, "surest_first"),
+            "most_informed_first": partial(masat.initialize, graph, "most_informed_first"),
             "chordal": partial(fresh, graph, "chordal"),
-            "auto": partial(optimised, case, graph, "auto"),
-            "lifted": partial(optimised, case, graph, "lifted"),
+            "auto": partial(optimized, case, graph, "auto"),
+            "lifted": partial(optimized, case, graph, "lifted"),
         },
         rounds=3,
     )
     line = (
-        f"{case.name:<16}{took['masat']:>8.2f}{took['surest_first'] / took['masat']:>8.2f}"
+        f"{case.name:<16}{took['masat']:>8.2f}{took['most_informed_first'] / took['masat']:>8.2f}"
         f"{took['iteration']:>8.1f}{took['chordal']:>9.1f}"
         f"{took['chordal'] / took['iteration']:>7.2f} ({CHORDAL[graph.dimension]:.0f})"
         f"{took['auto']:>8.1f}{took['lifted']:>8.1f}"
@@ -86,7 +86,7 @@ def measure(case: Case) -> str:
 def main() -> None:
     """Print a table of medians and ratios."""
     single_threaded()
-    print("medians in ms, wanted ratios in brackets; MASAT, and surest_first over it (2);")
+    print("medians in ms, wanted ratios in brackets; MASAT, and most_informed_first over it (2);")
     print("a first Gauss-Newton iteration, the chordal start, and its ratio to that; graph to best")
     print(
         "map by auto and by lifted; SE-Sync's recorded time; lifted's ratio to that, g2o-python's"

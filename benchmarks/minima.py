@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 
 import masat
-from masat.minima import lower_minimum
+from masat.optimality.search import lower_minimum
 from masat.study.names import Case
 from masat.study.trial import guess_of, instance, solve
 

@@ -75,7 +75,7 @@ def chi2_of(graph: masat.PoseGraph, poses: masat.arrays.Floats) -> float:
 def try_path(case: Case, graph: masat.PoseGraph, path: Path, own: bool) -> Tried | str:
     """Run a path to its end; a refusal is a sentence.
 
-    `own` tells that the solver minimises an objective of its own: it has arrived where its
+    `own` tells that the solver minimizes an objective of its own: it has arrived where its
     objective is within 1e-6 of its minimum, if from there Gauss-Newton leads to the best map.
     """
     try:
@@ -207,7 +207,7 @@ def main() -> None:
             f"theirs, wanted at most {WHOLE:.2f} (two threads in 3D); `loaded` leaves reading out"
         )
         print(
-            f"{'graph':<16}{'solver':<17}{'path':<20}{'its':>4}{'load':>9}{'start':>9}{'optimise':>9}"
+            f"{'graph':<16}{'solver':<17}{'path':<20}{'its':>4}{'load':>9}{'start':>9}{'optimize':>9}"
             f"{'total':>9}{'ratio':>7}{'loaded':>8}{'chi2':>15}"
         )
         for case in cases:

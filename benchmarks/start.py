@@ -26,7 +26,7 @@ READING = 5
 
 
 def _first_time(graph: masat.PoseGraph) -> masat.PoseGraph:
-    """Initialise a copy, which has not built its adjacency yet."""
+    """Initialize a copy, which has not built its adjacency yet."""
     return masat.initialize(replace(graph), "masat")
 
 

@@ -1,4 +1,4 @@
-"""The normal equations in NumPy: what CHOLMOD factorises, and a check of the core's."""
+"""The normal equations in NumPy: what CHOLMOD factorizes, and a check of the core's."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ _TYPES = {
 
 
 def paths(file: pathlib.Path) -> dict[str, Path]:
-    """Return the spanning tree with each optimiser."""
+    """Return the spanning tree with each optimizer."""
     graph = quietly_read(file)
     return {f"spanning tree + {o}": partial(_run, graph, o, True) for o in _OPTIMIZERS}
 
@@ -46,7 +46,7 @@ def iteration(graph: masat.PoseGraph, count: int) -> list[float]:
 
 
 def built(graph: masat.PoseGraph, optimizer: str) -> Any:
-    """Return g2o's optimiser with a graph in it, its first node held still."""
+    """Return g2o's optimizer with a graph in it, its first node held still."""
     vertex, edge, block_solver, linear_solver = _TYPES[graph.dimension]
     pose = _planar if graph.dimension == 2 else _spatial
     linear = linear_solver()
@@ -86,7 +86,7 @@ def _spatial(pose: Floats) -> Any:
 
 
 def _measured(whole: Any, iterations: int) -> list[Any]:
-    """Optimise; return the statistics of each iteration."""
+    """Optimize; return the statistics of each iteration."""
     whole.initialize_optimization()
     whole.set_compute_batch_statistics(True)
     done = whole.optimize(iterations)

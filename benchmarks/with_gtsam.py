@@ -19,7 +19,7 @@ _OPTIMIZERS = {
 
 
 def paths(file: pathlib.Path, graph: masat.PoseGraph, folder: pathlib.Path) -> dict[str, Path]:
-    """Return LAGO (2D) or the chordal start (3D) with each optimiser.
+    """Return LAGO (2D) or the chordal start (3D) with each optimizer.
 
     LAGO takes no correlated noise: it gets a file of the information's diagonals, read beforehand.
     """

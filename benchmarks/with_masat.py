@@ -14,7 +14,7 @@ _OPTIMIZERS = {"GN": "gauss_newton", "LM": "levenberg_marquardt"}
 
 
 def paths(file: pathlib.Path, threads: int) -> dict[str, Path]:
-    """Return each start with each optimiser."""
+    """Return each start with each optimizer."""
     return {
         f"{start} + {name}": partial(_run, file, start, optimizer, threads)
         for start in INITIALIZERS

@@ -10,37 +10,37 @@ import numpy as np
 from masat import PoseGraph, lie
 
 
-def neighbours_of(graph: PoseGraph) -> list[list[tuple[int, int, bool]]]:
-    neighbours = [[] for _ in graph.ids]
+def neighbors_of(graph: PoseGraph) -> list[list[tuple[int, int, bool]]]:
+    neighbors = [[] for _ in graph.ids]
     for k, (a, b) in enumerate(graph.edge_indices):
-        neighbours[a].append((b, k, False))
-        neighbours[b].append((a, k, True))
-    return neighbours
+        neighbors[a].append((b, k, False))
+        neighbors[b].append((a, k, True))
+    return neighbors
 
 
 def plain_masat(graph: PoseGraph, root: int) -> np.ndarray:
-    neighbours = neighbours_of(graph)
+    neighbors = neighbors_of(graph)
     placed = {root: lie.identity(graph.dimension)}
     queued = {root}
     queue = deque([root])
     while queue:
         node = queue.popleft()
         proposals = []
-        for neighbour, k, leads_here in neighbours[node]:
+        for neighbor, k, leads_here in neighbors[node]:
             z = graph.measurements[k]
-            if neighbour not in queued:
-                queued.add(neighbour)
-                queue.append(neighbour)
-            elif neighbour in placed:
+            if neighbor not in queued:
+                queued.add(neighbor)
+                queue.append(neighbor)
+            elif neighbor in placed:
                 step = z if leads_here else lie.inverse(z)
-                proposals.append(lie.compose(placed[neighbour], step))
+                proposals.append(lie.compose(placed[neighbor], step))
         if node != root:
             placed[node] = average(np.array(proposals))
     return np.array([placed[node] for node in range(len(graph.ids))])
 
 
-def plain_surest_first(graph: PoseGraph, root: int) -> np.ndarray:
-    neighbours = neighbours_of(graph)
+def plain_most_informed_first(graph: PoseGraph, root: int) -> np.ndarray:
+    neighbors = neighbors_of(graph)
     placed = {root: lie.identity(graph.dimension)}
     information = {}
     arrived = {}  # node: (class of its information, when it came there)
@@ -48,16 +48,16 @@ def plain_surest_first(graph: PoseGraph, root: int) -> np.ndarray:
 
     def tell(node, variance):
         nonlocal time
-        for neighbour, _, _ in neighbours[node]:
-            if neighbour in placed:
+        for neighbor, _, _ in neighbors[node]:
+            if neighbor in placed:
                 continue
             more = np.float32(1) / (variance + np.float32(1))
-            information[neighbour] = information.get(neighbour, np.float32(0)) + more
-            mantissa, exponent = np.frexp(information[neighbour])
+            information[neighbor] = information.get(neighbor, np.float32(0)) + more
+            mantissa, exponent = np.frexp(information[neighbor])
             now = (exponent, np.floor(32 * mantissa))
             time += 1
-            if neighbour not in arrived or arrived[neighbour][0] != now:
-                arrived[neighbour] = (now, time)
+            if neighbor not in arrived or arrived[neighbor][0] != now:
+                arrived[neighbor] = (now, time)
 
     tell(root, np.float32(0))
     while arrived:
@@ -65,11 +65,11 @@ def plain_surest_first(graph: PoseGraph, root: int) -> np.ndarray:
         node = min((when, v) for v, (known, when) in arrived.items() if known == best)[1]
         del arrived[node]
         proposals = []
-        for neighbour, k, leads_here in neighbours[node]:
-            if neighbour in placed:
+        for neighbor, k, leads_here in neighbors[node]:
+            if neighbor in placed:
                 z = graph.measurements[k]
                 step = z if leads_here else lie.inverse(z)
-                proposals.append(lie.compose(placed[neighbour], step))
+                proposals.append(lie.compose(placed[neighbor], step))
         placed[node] = average(np.array(proposals))
         tell(node, np.float32(1) / information[node])
     return np.array([placed[node] for node in range(len(graph.ids))])

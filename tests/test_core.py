@@ -38,7 +38,7 @@ def test_arrays_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="root out of range"):
         _core.place_by_masat(topology(), np.array([5], np.int32), a[:1], a)
     with pytest.raises(ValueError, match="root out of range"):
-        _core.place_surest_first(topology(), np.array([-1], np.int32), a[:1], a)
+        _core.place_most_informed_first(topology(), np.array([-1], np.int32), a[:1], a)
     with pytest.raises(ValueError, match="measurements must be"):
         _core.place_by_masat(topology(), np.array([0], np.int32), a, a)
     with pytest.raises(ValueError, match="preferred"):
@@ -60,9 +60,9 @@ def test_an_elimination_refuses_what_does_not_fit():
         elimination(np.zeros(2, bool), [0, 2])
 
 
-def test_nothing_is_solved_before_it_is_factorised():
+def test_nothing_is_solved_before_it_is_factorized():
     matrix = _core.GraphMatrix(elimination(np.array([True, False])), 2)
-    with pytest.raises(ValueError, match="factorise before solving"):
+    with pytest.raises(ValueError, match="factorize before solving"):
         matrix.solve(np.zeros((1, 2, 1)))
 
 
@@ -91,7 +91,7 @@ def test_equations_without_unknowns_are_solved_by_nothing():
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_a_whole_optimisation_runs(dimension):
+def test_a_whole_optimization_runs(dimension):
     z = FLOATS[dimension].copy()
     z[:, 0] = 1
     poses = FLOATS[dimension].copy()

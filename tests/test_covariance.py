@@ -88,7 +88,7 @@ def test_uncertainty_grows_along_a_chain():
     steps = np.arange(n + 1)
     assert np.allclose(masat.covariances(still), steps[:, None, None] * np.eye(3))
 
-    # A metre a step: each heading error swings all that follows it.
+    # A meter a step: each heading error swings all that follows it.
     line = PoseGraph.from_arrays(still.edges, np.tile([1.0, 0, 0], (n, 1)))
     found = masat.covariances(line.with_poses(np.column_stack([steps, 0 * steps, 0 * steps])))
     lever = [sum((k - j) ** 2 for j in range(1, k + 1)) for k in steps]

@@ -245,7 +245,7 @@ def test_ids_may_have_gaps_and_poses_and_fixed_nodes_do_not_bend_the_map():
     assert np.allclose(lie.local(truth.poses[3], (0, 1, 3 * quarter)), 0)
 
 
-def test_steps_may_be_longer_than_a_metre():
+def test_steps_may_be_longer_than_a_meter():
     walk = PoseGraph.from_arrays([(0, 1), (1, 2), (0, 2)], [(3, 0, 0), (5, -2, 0), (8, -2, 0)])
     assert (recover_grid_truth(walk).poses[:, :2] == [(0, 0), (3, 0), (8, -2)]).all()
 

@@ -61,7 +61,7 @@ def test_g2o_edges_in_space_without_information_get_the_identity_and_a_note(read
     assert graph.notes == ("2 edges have no information: identity taken",)
 
 
-def test_rounded_quaternions_are_normalised(read):
+def test_rounded_quaternions_are_normalized(read):
     graph = read("EDGE_SE3:QUAT 0 1 0 0 0 0 0 0.7071068 0.7071068 " + UNIT_3D)
     assert_allclose(graph.measurements[0, 3:], [0, 0, H, H], rtol=0, atol=2.3e-16)
 

@@ -74,7 +74,7 @@ def test_the_order_in_which_nodes_are_given_does_not_matter(order, gap):
         [LOWEST, 0, HIGHEST],
         [LOWEST, LOWEST + 1, LOWEST + 2],
         [HIGHEST - 2, HIGHEST - 1, HIGHEST],
-        # Neighbours that one double cannot tell apart.
+        # Neighbors that one double cannot tell apart.
         [2**53, 2**53 + 1, 2**60],
     ],
 )
@@ -158,7 +158,7 @@ def test_attributes_of_a_graph_cannot_be_replaced():
 
 
 @pytest.mark.parametrize("name", ["measurements", "poses"])
-def test_quaternions_off_unit_length_by_rounding_are_normalised(name):
+def test_quaternions_off_unit_length_by_rounding_are_normalized(name):
     rounded = spatial_with(1, [0.6, 0, 0, -0.8 - 1e-7])
     graph = triangle(SPATIAL, **{"poses": rounded, name: rounded})
     got = getattr(graph, name)
@@ -382,7 +382,7 @@ def test_with_poses_changes_the_poses_of_a_copy_alone():
         assert_array_equal(getattr(moved, name), getattr(graph, name))
 
 
-def test_with_poses_copies_and_normalises_what_it_is_given():
+def test_with_poses_copies_and_normalizes_what_it_is_given():
     given = spatial_with(0, [0, 0, 0.6, 0.8 + 1e-7])
     before = given.copy()
     graph = triangle(SPATIAL).with_poses(given)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plain_masat import plain_masat, plain_surest_first
+from plain_masat import plain_masat, plain_most_informed_first
 from random_graphs import random_graph
 
 import masat
@@ -21,7 +21,7 @@ def same_poses(a, b, tolerance=1e-9):
 
 
 @pytest.mark.parametrize(
-    ("method", "plain"), [("masat", plain_masat), ("surest_first", plain_surest_first)]
+    ("method", "plain"), [("masat", plain_masat), ("most_informed_first", plain_most_informed_first)]
 )
 @given(
     dimension=st.sampled_from([2, 3]),
@@ -76,21 +76,21 @@ def test_masat_equals_the_authors_program_in_3d_where_two_proposals_meet(
     sign = np.sign(np.einsum("ij,ij->i", ours.poses[:, 3:], theirs.poses[:, 3:]))[:, None]
     poses = np.hstack([ours.poses[:, :3], sign * ours.poses[:, 3:]])[untouched]
     expected = theirs.poses[untouched]
-    # Their file's quaternions are normalised on reading, which moves the last printed digit.
+    # Their file's quaternions are normalized on reading, which moves the last printed digit.
     assert np.allclose(poses, expected, rtol=1e-5, atol=2e-6)
 
 
 def places_without_three_proposals(graph):
     """Tell which nodes neither had three proposals nor inherit from one that had."""
-    neighbours = [[] for _ in graph.ids]
+    neighbors = [[] for _ in graph.ids]
     for a, b in graph.edge_indices:
-        neighbours[a].append(b)
-        neighbours[b].append(a)
+        neighbors[a].append(b)
+        neighbors[b].append(a)
     clean = np.zeros(len(graph.ids), bool)
     placed, seen, queue = set(), {0}, [0]
     for node in queue:
-        ancestors = [v for v in neighbours[node] if v in placed]
-        for v in neighbours[node]:
+        ancestors = [v for v in neighbors[node] if v in placed]
+        for v in neighbors[node]:
             if v not in seen:
                 seen.add(v)
                 queue.append(v)
@@ -193,7 +193,7 @@ def test_odometry_follows_the_chain_and_not_a_shorter_way():
     assert masat.initialize(graph, "spanning_tree").poses[2, 0] == 5
 
 
-def test_odometry_counts_neighbours_in_a_list_with_gaps_as_consecutive():
+def test_odometry_counts_neighbors_in_a_list_with_gaps_as_consecutive():
     graph = PoseGraph.from_arrays([(10, 20), (20, 40), (10, 40)], [(1, 0, 0), (1, 0, 0), (5, 0, 0)])
     assert masat.initialize(graph, "odometry").poses[2, 0] == 2
 

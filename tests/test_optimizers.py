@@ -5,7 +5,7 @@ from random_graphs import random_graph, random_poses
 import masat
 from masat import FormatError, OptimizationError, PoseGraph, Result, StopReason, lie
 from masat._core import NormalEquations
-from masat.elimination import eliminate
+from masat.structure import eliminate
 from masat.optimizers import OPTIMIZERS
 from masat.optimizers.equations import edge_chi2
 from masat.worlds import manhattan, perturb
@@ -17,7 +17,7 @@ STILL = [0, 0, 0, 0, 0, 0, 1]
 
 
 def line(*gaps, **more):
-    """Nodes on a line, each a metre from the last, and a measurement of the whole way."""
+    """Nodes on a line, each a meter from the last, and a measurement of the whole way."""
     edges = [(k, k + 1) for k in range(len(gaps) - 1)] + [(0, len(gaps) - 1)]
     return PoseGraph.from_arrays(edges, [(g, 0, 0) for g in gaps], **more)
 
@@ -99,7 +99,7 @@ def test_gradient_and_system_agree_with_finite_differences(dimension, seed):
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_a_kept_analysis_serves_every_linearisation(dimension):
+def test_a_kept_analysis_serves_every_linearization(dimension):
     # At the exact truth many entries are zero: they must keep their places.
     graph = random_graph(dimension, 20, 30, seed=4, noise=0.0)
     kept = equations_of(graph)

@@ -31,7 +31,7 @@ def test_a_picture_is_written_in_the_format_of_its_name(dimension, suffix, tmp_p
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_before_and_after_have_a_panel_each_and_share_the_colours(dimension):
+def test_before_and_after_have_a_panel_each_and_share_the_colors(dimension):
     one, two = (random_graph(dimension, 10, 10, seed=s) for s in (1, 2))
     figure = masat.plot({"before": one, "after": two}, color_by_error=True)
     before, after, scale = figure.axes
@@ -41,7 +41,7 @@ def test_before_and_after_have_a_panel_each_and_share_the_colours(dimension):
     assert len(limits) == 1
 
 
-def test_an_exact_fit_can_be_coloured():
+def test_an_exact_fit_can_be_colored():
     masat.plot(manhattan(100, 150, extent=6), color_by_error=True)
 
 

@@ -3,9 +3,10 @@ import pytest
 from random_graphs import random_graph
 
 import masat
-from masat import PoseGraph, _core, lie, quadratic, relaxation
+from masat import PoseGraph, _core, lie, linear
+from masat.optimality import relaxation
 from masat.optimizers.equations import edge_chi2
-from masat.relaxation import Relaxation
+from masat.optimality.relaxation import Relaxation
 from masat.worlds import manhattan, perturb, sphere
 
 
@@ -55,7 +56,7 @@ def test_a_minimum_is_critical(dimension, extra):
     x = relaxed.polish(masat.initialize(graph, "chordal").poses).unknowns
     if extra:
         x = relaxed.lift(x, np.random.default_rng(0))
-    point = relaxed.minimise(x, decrease=1e-14, damping=1.0)
+    point = relaxed.minimize(x, decrease=1e-14, damping=1.0)
     d, held = dimension, graph.index(graph.anchors)
     rng = np.random.default_rng(5)
     for _ in range(5):
@@ -213,7 +214,7 @@ def test_the_weights_of_badly_conditioned_information_are_positive(spread):
         graph = PoseGraph.from_arrays(edges, z, information)
     except masat.InformationError:
         return  # indefinite by rounding, and refused
-    weights = quadratic.isotropic_weights(graph)
+    weights = linear.isotropic_weights(graph)
     true = 3 / (1 + 2 / spread)
     assert np.all(weights.translation > 0)
     if spread > 1e-8:

@@ -8,7 +8,7 @@ from masat.optimizers.equations import edge_chi2
 from masat.worlds import WORLDS, city, garage, grid, manhattan, perturb, sphere, torus
 from masat.worlds.closures import on_lattice, within
 
-# Metres that a step and a loop closure span at most.
+# Meters that a step and a loop closure span at most.
 REACHES = {
     "manhattan": (1, 1),
     "city": (1, 1),
@@ -191,7 +191,7 @@ def test_the_truth_of_a_manhattan_is_consistent_and_on_the_grid():
     assert (quarters == np.rint(quarters)).all()
 
 
-def test_a_walk_steps_a_metre_and_closes_loops_within_a_metre():
+def test_a_walk_steps_a_meter_and_closes_loops_within_a_meter():
     world = manhattan(600, 1000, extent=12, seed=5)
     gap = np.abs(world.edges[:, 1] - world.edges[:, 0])
     reach = np.hypot(*world.measurements[:, :2].T)

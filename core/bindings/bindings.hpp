@@ -27,7 +27,7 @@ void check_poses(const Topology& graph, const Table<double>& measurements,
                  const Table<double>& poses);
 void check_rows(const GraphMatrix& matrix, const Stack& v);
 
-// Blocks of the inverse of what a system of d rows a node factorised, by places among its nodes.
+// Blocks of the inverse of what a system of d rows a node factorized, by places among its nodes.
 template <class System>
 Array<double> blocks_of_inverse(const System& system, std::int32_t nodes, std::size_t d,
                                 const Vector<std::int32_t>& rows,

@@ -86,11 +86,11 @@ Array<double> masat_placement(const Topology& graph, const Vector<std::int32_t>&
   });
 }
 
-Array<double> surest_first_placement(const Topology& graph, const Vector<std::int32_t>& roots,
+Array<double> most_informed_first_placement(const Topology& graph, const Vector<std::int32_t>& roots,
                                      const Table<double>& measurements,
                                      const Table<double>& poses) {
   return walked(graph, roots, measurements, poses, [&]<class Group>(Group*, auto... arguments) {
-    place_surest_first<Group>(graph, arguments...);
+    place_most_informed_first<Group>(graph, arguments...);
   });
 }
 
@@ -122,7 +122,7 @@ void bind_graph(nb::module_& m) {
   m.def("place_along_tree", &tree_placement, "topology"_a, "roots"_a, "preferred"_a,
         "measurements"_a, "poses"_a);
   m.def("place_by_masat", &masat_placement, "topology"_a, "roots"_a, "measurements"_a, "poses"_a);
-  m.def("place_surest_first", &surest_first_placement, "topology"_a, "roots"_a, "measurements"_a,
+  m.def("place_most_informed_first", &most_informed_first_placement, "topology"_a, "roots"_a, "measurements"_a,
         "poses"_a);
   m.def("place_by_toro", &toro_placement, "topology"_a, "roots"_a, "measurements"_a,
         "information"_a, "poses"_a, "sweeps"_a);

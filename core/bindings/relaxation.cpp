@@ -36,13 +36,13 @@ void with_lifted(const GraphMatrix& matrix, const Stack& forcing, double constan
   }
 }
 
-nb::tuple minimise_lifted(const GraphMatrix& matrix, const Stack& forcing, double constant,
+nb::tuple minimize_lifted(const GraphMatrix& matrix, const Stack& forcing, double constant,
                           const Stack& start, double decrease, double damping, int steps) {
   std::vector<double> x(start.data(), start.data() + start.size());
   int taken = 0;
   with_lifted(matrix, forcing, constant, start, [&](auto problem) {
     const nb::gil_scoped_release release;
-    taken = problem.minimise(x, {decrease, damping, steps});
+    taken = problem.minimize(x, {decrease, damping, steps});
   });
   return nb::make_tuple(as_array(std::move(x), {start.shape(0), start.shape(1), start.shape(2)}),
                         taken);
@@ -70,7 +70,7 @@ Array<std::int32_t> weak_nodes(const GraphMatrix& matrix, const Stack& forcing, 
 }  // namespace
 
 void bind_relaxation(nb::module_& m) {
-  m.def("minimise_lifted", &minimise_lifted, "matrix"_a, "forcing"_a, "constant"_a, "start"_a,
+  m.def("minimize_lifted", &minimize_lifted, "matrix"_a, "forcing"_a, "constant"_a, "start"_a,
         "decrease"_a, "damping"_a, "steps"_a);
   m.def("lifted_gap", &lifted_gap, "matrix"_a, "forcing"_a, "x"_a, "shift"_a);
   m.def("weak_nodes", &weak_nodes, "matrix"_a, "forcing"_a, "x"_a, "shift"_a);

@@ -1,4 +1,4 @@
-// Linear systems over the graph: analysis, factorisation, and the translations they settle.
+// Linear systems over the graph: analysis, factorization, and the translations they settle.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/unique_ptr.h>
@@ -13,7 +13,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
 #include "graph/topology.hpp"
-#include "initializers/translations.hpp"
+#include "optimizers/translations.hpp"
 #include "relaxation/pose_form.hpp"
 #include "sparse/elimination.hpp"
 #include "sparse/graph_matrix.hpp"
@@ -46,17 +46,17 @@ std::shared_ptr<Elimination> make_elimination(const Topology& graph, const Vecto
   return std::make_shared<Elimination>(graph, span_of(held), span_of(order));
 }
 
-// Compressed rows: the neighbours of each free node, by their places.
+// Compressed rows: the neighbors of each free node, by their places.
 nb::tuple adjacency_of(const Elimination& elimination) {
   std::vector<std::int64_t> start{0};
-  std::vector<std::int32_t> neighbours;
+  std::vector<std::int32_t> neighbors;
   for (std::int32_t k = 0; k < elimination.adjacency().nodes(); ++k) {
-    for (const auto& neighbour : elimination.adjacency().neighbours(k)) {
-      neighbours.push_back(neighbour.node);
+    for (const auto& neighbor : elimination.adjacency().neighbors(k)) {
+      neighbors.push_back(neighbor.node);
     }
-    start.push_back(static_cast<std::int64_t>(neighbours.size()));
+    start.push_back(static_cast<std::int64_t>(neighbors.size()));
   }
-  return nb::make_tuple(as_array(std::move(start)), as_array(std::move(neighbours)));
+  return nb::make_tuple(as_array(std::move(start)), as_array(std::move(neighbors)));
 }
 
 std::unique_ptr<GraphMatrix> make_matrix(std::shared_ptr<Elimination> elimination, int block_size,
@@ -132,7 +132,7 @@ nb::tuple settled(const Topology& graph, GraphMatrix& matrix, const Table<double
     require(information.shape(0) == graph.edges().size() && information.shape(1) == Group::kDof &&
                 information.shape(2) == Group::kDof,
             "information must be (m, d, d)");
-    broken = settle_translations<Group>(graph, matrix, measurements.data(), information.data(), p);
+    broken = solve_translations<Group>(graph, matrix, measurements.data(), information.data(), p);
   });
   return nb::make_tuple(out, broken);
 }
@@ -168,7 +168,7 @@ void bind_systems(nb::module_& m) {
       .def(
           "solve",
           [](const GraphMatrix& matrix, const Stack& rhs) {
-            require(matrix.factorized(), "factorise before solving");
+            require(matrix.factorized(), "factorize before solving");
             check_rows(matrix, rhs);
             std::vector<double> out(rhs.data(), rhs.data() + rhs.size());
             {
@@ -182,13 +182,13 @@ void bind_systems(nb::module_& m) {
           "inverse",
           [](const GraphMatrix& matrix, const Vector<std::int32_t>& rows,
              const Vector<std::int32_t>& columns) {
-            require(matrix.factorized(), "factorise before inverting");
+            require(matrix.factorized(), "factorize before inverting");
             return blocks_of_inverse(matrix, matrix.pattern().columns(), matrix.block_size(), rows,
                                      columns);
           },
           "rows"_a, "columns"_a);
 
-  m.def("settle_translations", &settled, "topology"_a, "matrix"_a, "measurements"_a,
+  m.def("solve_translations", &settled, "topology"_a, "matrix"_a, "measurements"_a,
         "information"_a, "poses"_a);
 }
 

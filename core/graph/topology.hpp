@@ -13,8 +13,8 @@ struct Edge {
 
 // One end of an edge, as seen from the node at its other end.
 struct Incidence {
-  std::int32_t node;  // the neighbour
-  std::int32_t edge;  // >= 0: the edge leads from the neighbour; otherwise ~edge leads to it
+  std::int32_t node;  // the neighbor
+  std::int32_t edge;  // >= 0: the edge leads from the neighbor; otherwise ~edge leads to it
 };
 
 // How a node was reached by a walk. Roots have edge -1 and parent -1.

@@ -6,28 +6,28 @@
 #include <span>
 #include <vector>
 
-#include "graph/surest_queue.hpp"
+#include "graph/information_queue.hpp"
 #include "graph/topology.hpp"
 
 namespace masat {
 
-// Where `node` lies according to its neighbour at `pose`: z leads from the neighbour to the node
-// when `edge` >= 0, otherwise from the node to the neighbour.
+// Where `node` lies according to its neighbor at `pose`: z leads from the neighbor to the node
+// when `edge` >= 0, otherwise from the node to the neighbor.
 template <class Group>
 Group propose(const Group& pose, const Group& z, std::int32_t edge) {
   return pose * (edge >= 0 ? z : z.inverse());
 }
 
-// The average of what neighbours, of which there is at least one, say of a node. Not inlined, it
+// The average of what neighbors, of which there is at least one, say of a node. Not inlined, it
 // costs MASAT a tenth of its time.
 template <class Group>
-[[gnu::always_inline]] inline Group average(std::span<const Incidence> neighbours,
+[[gnu::always_inline]] inline Group average(std::span<const Incidence> neighbors,
                                             const Group* placed, const typename Group::Table& z) {
   const auto proposal = [&](const Incidence& i) {
     return propose(placed[i.node], z[i.edge >= 0 ? i.edge : ~i.edge], i.edge);
   };
-  typename Group::Mean mean(proposal(neighbours[0]));
-  for (std::size_t k = 1; k < neighbours.size(); ++k) mean.add(proposal(neighbours[k]));
+  typename Group::Mean mean(proposal(neighbors[0]));
+  for (std::size_t k = 1; k < neighbors.size(); ++k) mean.add(proposal(neighbors[k]));
   return mean.get();
 }
 
@@ -50,7 +50,7 @@ void place_along_tree(const Topology& graph, std::span<const TreeLink> links,
 }
 
 // MASAT: breadth-first from the roots, each node once, at the average of the proposals of its
-// neighbours already placed. A neighbour that waits in the queue says nothing. The poses of the
+// neighbors already placed. A neighbor that waits in the queue says nothing. The poses of the
 // roots are given.
 template <class Group>
 void place_by_masat(const Topology& graph, std::span<const std::int32_t> roots,
@@ -71,7 +71,7 @@ void place_by_masat(const Topology& graph, std::span<const std::int32_t> roots,
   }
   for (std::size_t head = 0; head < tail; ++head) {
     const std::int32_t node = queue[head];
-    // Which neighbours are unseen or placed no branch predictor can tell: both lists are written
+    // Which neighbors are unseen or placed no branch predictor can tell: both lists are written
     // to in any case, and grow only if it holds.
     std::size_t count = 0;
     for (const Incidence& i : graph.incident(node)) {
@@ -93,16 +93,16 @@ void place_by_masat(const Topology& graph, std::span<const std::int32_t> roots,
 // placed node 1 / (sum of its proposals' information), and its proposal the sum of both. The poses
 // of the roots are given, and certain.
 template <class Group>
-void place_surest_first(const Topology& graph, std::span<const std::int32_t> roots,
+void place_most_informed_first(const Topology& graph, std::span<const std::int32_t> roots,
                         const double* measurements, double* poses) {
   const std::size_t edges = graph.edges().size();
   const typename Group::Table z(measurements, static_cast<std::int64_t>(edges));
   std::vector<Group> placed(graph.nodes());
-  SurestQueue queue(graph.nodes(), edges);
+  InformationQueue queue(graph.nodes(), edges);
   std::vector<Incidence> ancestors(graph.max_degree() + 1);
   std::vector<std::int32_t> heirs(graph.max_degree() + 1);
 
-  // Lists the placed neighbours, and tells the others. Which are which no branch predictor knows.
+  // Lists the placed neighbors, and tells the others. Which are which no branch predictor knows.
   const auto visit = [&](std::int32_t node, float variance) {
     std::size_t count = 0, others = 0;
     for (const Incidence& i : graph.incident(node)) {

@@ -11,7 +11,7 @@
 
 namespace masat {
 
-// Angle in [-pi, pi), as g2o normalises it.
+// Angle in [-pi, pi), as g2o normalizes it.
 inline double wrap_angle(double theta) {
   constexpr double pi = std::numbers::pi, two_pi = 2 * pi;
   if (theta >= -pi && theta < pi) return theta;

@@ -43,7 +43,7 @@ struct SE3 {
     return {Eigen::Vector3d::Zero(), Eigen::Quaterniond(Rotation(u * svd.matrixV().transpose()))};
   }
 
-  // (translation, vector part of the unit quaternion), g2o's minimal parametrisation. A vector
+  // (translation, vector part of the unit quaternion), g2o's minimal parametrization. A vector
   // part longer than 1 belongs to no rotation: the half turn about it is the nearest.
   static SE3 from_tangent(const double* d) {
     Eigen::Vector3d v(d[3], d[4], d[5]);

@@ -1,4 +1,4 @@
-// Sine and cosine together, without a branch, so that compilers vectorise loops over it.
+// Sine and cosine together, without a branch, so that compilers vectorize loops over it.
 #pragma once
 
 #include <bit>

@@ -12,7 +12,7 @@
 
 namespace masat {
 
-// What the optimisers see, whatever the group. Poses are flat arrays of all nodes, steps and
+// What the optimizers see, whatever the group. Poses are flat arrays of all nodes, steps and
 // gradients flat arrays of the free ones; chi2 is the sum of e' W e, without a factor 1/2.
 class NormalEquations {
  public:
@@ -31,10 +31,10 @@ class NormalEquations {
   virtual std::span<const double> rhs() const = 0;
   virtual void diagonal(double* out) const = 0;
   virtual void multiply(const double* v, double* out) const = 0;  // H v
-  // Factorises H plus a diagonal; returns -1, or the node at which it is not positive definite.
+  // Factorizes H plus a diagonal; returns -1, or the node at which it is not positive definite.
   virtual std::int32_t factorize(std::span<const double> damping) = 0;
   virtual void solve(double* step) const = 0;
-  // Blocks of the inverse of what was factorised, by places among the free nodes, each row-major.
+  // Blocks of the inverse of what was factorized, by places among the free nodes, each row-major.
   virtual void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                        double* out) const = 0;
   virtual void retract(const double* poses, const double* step, double* out) const = 0;
@@ -48,7 +48,7 @@ class NormalEquationsOf final : public NormalEquations {
   using Tangent = typename Group::Tangent;
 
   // Held nodes keep their poses and have no place in the system. The numbers do not depend on how
-  // many threads factorise.
+  // many threads factorize.
   NormalEquationsOf(const Topology& graph, std::shared_ptr<const Elimination> elimination,
                     const double* measurements, const double* information, int threads)
       : edges_(graph.edges()),

@@ -5,7 +5,7 @@
 // The cost is <X, M X> - 2 <X, F> + constant: M over the free nodes, F what the held ones make of
 // the right-hand side. Source: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; here the
 // translations stay unknowns, solved for anew after each step, which is Newton's, by a
-// factorisation.
+// factorization.
 #pragma once
 
 #include <algorithm>
@@ -41,9 +41,9 @@ class Lifted {
         lambda_(nodes_),
         residual_(nodes_ * kStep) {}
 
-  // Newton's method, damped as by Levenberg and Marquardt, from the orthonormalised x on. Returns
+  // Newton's method, damped as by Levenberg and Marquardt, from the orthonormalized x on. Returns
   // the steps tried.
-  int minimise(std::vector<double>& x, const LiftedLimits& limits) {
+  int minimize(std::vector<double>& x, const LiftedLimits& limits) {
     GraphMatrix hessian(matrix_.elimination(), kDof);
     std::vector<typename Frames::Basis> basis(nodes_);
     std::vector<double> gradient(nodes_ * kDof), step(gradient.size()), damping(gradient.size());
@@ -173,7 +173,7 @@ class Lifted {
     return cost;
   }
 
-  // The part of M of the translations, factorised: they have the same one in each of their numbers.
+  // The part of M of the translations, factorized: they have the same one in each of their numbers.
   GraphMatrix laplacian() const {
     GraphMatrix out(matrix_.elimination(), 1);
     const auto entries = static_cast<std::int64_t>(matrix_.pattern().row.size());

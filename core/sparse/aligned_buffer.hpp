@@ -1,4 +1,4 @@
-// Uninitialised memory for vectors of any width.
+// Uninitialized memory for vectors of any width.
 #pragma once
 
 #include <cstddef>

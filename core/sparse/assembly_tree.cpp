@@ -35,7 +35,7 @@ void find_rows(const BlockGraph& graph, AssemblyTree& out) {
       out.row.push_back(row);
     };
     for (std::int32_t k = out.first[f]; k < end; ++k) {
-      for (const BlockGraph::Neighbour& i : graph.neighbours(out.order[k])) add(out.place[i.node]);
+      for (const BlockGraph::Neighbor& i : graph.neighbors(out.order[k])) add(out.place[i.node]);
     }
     for (const std::int32_t c : children.of(f)) {
       for (std::int64_t k = out.row_start[c]; k < out.row_start[c + 1]; ++k) add(out.row[k]);

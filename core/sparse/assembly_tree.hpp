@@ -1,4 +1,4 @@
-// The fronts of a multifrontal factorisation and their tree.
+// The fronts of a multifrontal factorization and their tree.
 // Duff, Reid, "The multifrontal solution of indefinite sparse symmetric linear equations",
 // TOMS 1983; Liu, "The multifrontal method for sparse matrix solution", SIAM Review 1992.
 #pragma once

@@ -1,4 +1,4 @@
-// Sparse Cholesky of a symmetric matrix of d x d blocks: analyse once, factorise often, solve.
+// Sparse Cholesky of a symmetric matrix of d x d blocks: analyze once, factorize often, solve.
 #pragma once
 
 #include <cstdint>
@@ -17,7 +17,7 @@ class BlockCholesky {
   BlockCholesky(const Elimination& elimination, int block_size, int threads = 1);
   ~BlockCholesky();
 
-  // Factorises the matrix with the blocks `values`, each column-major, in the order of the
+  // Factorizes the matrix with the blocks `values`, each column-major, in the order of the
   // pattern, plus the diagonal `damping`. Every entry counts, zeros too: the pattern never
   // changes. Returns -1, or the block at which the matrix is not positive definite.
   std::int32_t factorize(std::span<const double> values, std::span<const double> damping);

@@ -14,10 +14,10 @@ BlockGraph::BlockGraph(const BlockPattern& pattern) : start_(pattern.columns() +
   for_each([&](std::int32_t c, std::int32_t r, std::int32_t) { ++start_[c], ++start_[r]; });
   std::int64_t sum = 0;
   for (std::int64_t& s : start_) sum += s, s = sum;  // ends, that the fill moves to the starts
-  neighbour_.resize(sum);
+  neighbor_.resize(sum);
   for_each([&](std::int32_t c, std::int32_t r, std::int32_t k) {
-    neighbour_[--start_[c]] = {r, k};
-    neighbour_[--start_[r]] = {c, k};
+    neighbor_[--start_[c]] = {r, k};
+    neighbor_[--start_[r]] = {c, k};
   });
 }
 

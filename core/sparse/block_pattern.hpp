@@ -18,7 +18,7 @@ struct BlockPattern {
 // The off-diagonal blocks of both triangles, by columns.
 class BlockGraph {
  public:
-  struct Neighbour {
+  struct Neighbor {
     std::int32_t node;
     std::int32_t entry;  // the block's place in the pattern
   };
@@ -26,13 +26,13 @@ class BlockGraph {
   explicit BlockGraph(const BlockPattern& pattern);
 
   std::int32_t nodes() const { return static_cast<std::int32_t>(start_.size()) - 1; }
-  std::span<const Neighbour> neighbours(std::int32_t node) const {
-    return {neighbour_.data() + start_[node], neighbour_.data() + start_[node + 1]};
+  std::span<const Neighbor> neighbors(std::int32_t node) const {
+    return {neighbor_.data() + start_[node], neighbor_.data() + start_[node + 1]};
   }
 
  private:
   std::vector<std::int64_t> start_;
-  std::vector<Neighbour> neighbour_;
+  std::vector<Neighbor> neighbor_;
 };
 
 }  // namespace masat

@@ -14,8 +14,8 @@ std::vector<std::int32_t> find_parents(const BlockGraph& graph, std::span<const 
   const std::int32_t n = graph.nodes();
   std::vector<std::int32_t> parent(n, -1), ancestor(n, -1);
   for (std::int32_t k = 0; k < n; ++k) {
-    for (const BlockGraph::Neighbour& neighbour : graph.neighbours(order[k])) {
-      std::int32_t i = place[neighbour.node];
+    for (const BlockGraph::Neighbor& neighbor : graph.neighbors(order[k])) {
+      std::int32_t i = place[neighbor.node];
       if (i > k) continue;
       while (ancestor[i] >= 0 && ancestor[i] != k) i = std::exchange(ancestor[i], k);
       if (ancestor[i] < 0) ancestor[i] = parent[i] = k;
@@ -38,8 +38,8 @@ std::vector<std::int32_t> count_columns(const BlockGraph& graph, const Eliminati
       first[parent] = std::min(first[parent], first[k]);
       --count[parent];
     }
-    for (const BlockGraph::Neighbour& neighbour : graph.neighbours(tree.order[k])) {
-      const std::int32_t row = tree.place[neighbour.node];
+    for (const BlockGraph::Neighbor& neighbor : graph.neighbors(tree.order[k])) {
+      const std::int32_t row = tree.place[neighbor.node];
       if (row < k || first[k] <= last_first[row]) continue;
       // A leaf of the row's subtree; it overlaps with the leaf before up to their meeting.
       last_first[row] = first[k];

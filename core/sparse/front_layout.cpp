@@ -80,15 +80,15 @@ void FrontLayout::place_entries(const BlockPattern& pattern, const BlockGraph& g
       const std::int64_t pivot = std::int64_t{k - tree_.first[f]} * block_size_;
       entries_.push_back({start + pivot * (front.ld11 + 1),
                           static_cast<std::int32_t>(pattern.start[node]), false, false});
-      for (const BlockGraph::Neighbour& neighbour : graph.neighbours(node)) {
-        const std::int32_t row = tree_.place[neighbour.node];
+      for (const BlockGraph::Neighbor& neighbor : graph.neighbors(node)) {
+        const std::int32_t row = tree_.place[neighbor.node];
         if (row < k) continue;
         const bool eliminated = row < tree_.first[f + 1];
         const std::int64_t target =
             eliminated
                 ? start + pivot * front.ld11 + std::int64_t{row - tree_.first[f]} * block_size_
                 : below + pivot * front.ld21 + std::int64_t{row_of[row]} * block_size_;
-        entries_.push_back({target, neighbour.entry, !eliminated, neighbour.node < node});
+        entries_.push_back({target, neighbor.entry, !eliminated, neighbor.node < node});
       }
       entry_start_.push_back(static_cast<std::int64_t>(entries_.size()));
     }

@@ -1,4 +1,4 @@
-// Where everything of a multifrontal factorisation lies: the factor, the matrix's blocks in it, and
+// Where everything of a multifrontal factorization lies: the factor, the matrix's blocks in it, and
 // the children in their parents.
 #pragma once
 

@@ -18,7 +18,7 @@ class GraphMatrix {
  public:
   GraphMatrix(std::shared_ptr<const Elimination> elimination, int block_size, int threads = 1);
 
-  // A copy is not factorised.
+  // A copy is not factorized.
   GraphMatrix(const GraphMatrix& other)
       : elimination_(other.elimination_),
         d_(other.d_),
@@ -48,7 +48,7 @@ class GraphMatrix {
   void diagonal(double* out) const;
   // out = H v
   void multiply(const double* v, int columns, double* out) const;
-  // Factorises H plus a diagonal; returns -1, or the place at which it is not positive definite.
+  // Factorizes H plus a diagonal; returns -1, or the place at which it is not positive definite.
   std::int32_t factorize(std::span<const double> damping) {
     if (!cholesky_) cholesky_ = std::make_unique<BlockCholesky>(*elimination_, d_, threads_);
     return cholesky_->factorize(values_, damping);
@@ -60,9 +60,9 @@ class GraphMatrix {
     return cholesky_->indefinite(values_, std::move(damping), held);
   }
   bool factorized() const { return cholesky_ != nullptr; }
-  // Overwrites right-hand sides with the solutions of what was factorised.
+  // Overwrites right-hand sides with the solutions of what was factorized.
   void solve(std::span<double> rhs, int columns = 1) const { cholesky_->solve(rhs, columns); }
-  // Blocks of the inverse of what was factorised, by places, each row-major.
+  // Blocks of the inverse of what was factorized, by places, each row-major.
   void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                double* out) const {
     cholesky_->inverse(rows, columns, out);

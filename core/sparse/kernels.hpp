@@ -35,7 +35,7 @@ struct Kernels {
   std::int32_t lanes;
   std::int32_t width;  // right-hand sides that the wide solves take at once
 
-  // Factorises the diagonal block of the panel of columns that begins at `begin`, all panels before
+  // Factorizes the diagonal block of the panel of columns that begins at `begin`, all panels before
   // being done. Keeps the pivots' reciprocals. Returns -1, or the column whose pivot is not greater
   // than its floor.
   std::int32_t (*factor_diagonal)(const Front& front, std::int32_t begin, double* reciprocal,

@@ -184,7 +184,7 @@ bool Multifrontal::hold(std::int64_t column) const {
   const int d = layout_.block_size();
   const std::int32_t node = layout_.tree().order[column / d];
   double* const damping = &holding_->damping[std::int64_t{node} * d];
-  // A pivot that was hardly one makes of its neighbours' what no first hold may be a match for.
+  // A pivot that was hardly one makes of its neighbors' what no first hold may be a match for.
   for (int i = 0; i < d; ++i) {
     damping[i] =
         holding_->broken[node] ? kTighter * damping[i] : holding_->held[std::int64_t{node} * d + i];

@@ -1,4 +1,4 @@
-// Numeric multifrontal Cholesky factorisation over a fixed layout.
+// Numeric multifrontal Cholesky factorization over a fixed layout.
 #pragma once
 
 #include <atomic>

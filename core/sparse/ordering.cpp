@@ -10,13 +10,13 @@ std::vector<std::int32_t> minimum_degree(const BlockGraph& graph) {
   Eigen::SparseMatrix<double> matrix(n, n);
   int* const start = matrix.outerIndexPtr();
   for (std::int32_t c = 0; c < n; ++c) {
-    start[c + 1] = start[c] + static_cast<int>(graph.neighbours(c).size()) + 1;
+    start[c + 1] = start[c] + static_cast<int>(graph.neighbors(c).size()) + 1;
   }
   matrix.resizeNonZeros(start[n]);
   int* row = matrix.innerIndexPtr();
   for (std::int32_t c = 0; c < n; ++c) {
     *row++ = c;  // else the column is taken for a dense one
-    for (const BlockGraph::Neighbour& r : graph.neighbours(c)) *row++ = r.node;
+    for (const BlockGraph::Neighbor& r : graph.neighbors(c)) *row++ = r.node;
   }
   Eigen::PermutationMatrix<Eigen::Dynamic, Eigen::Dynamic, int> order;
   Eigen::internal::minimum_degree_ordering(matrix, order);

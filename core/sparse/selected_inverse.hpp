@@ -1,4 +1,4 @@
-// Chosen blocks of the inverse of a factorised matrix.
+// Chosen blocks of the inverse of a factorized matrix.
 // Erisman, Tinney, "On computing certain elements of the inverse of a sparse matrix", CACM 1975;
 // Kaess, Dellaert, "Covariance recovery from a square root information matrix for data
 // association", Robotics and Autonomous Systems 2009.

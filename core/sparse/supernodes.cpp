@@ -11,7 +11,7 @@ struct Supernode {
   std::int32_t pivots, rows;  // eliminated, and below them: in blocks
 };
 
-// Estimated nanoseconds to assemble and factorise a front.
+// Estimated nanoseconds to assemble and factorize a front.
 double front_cost(Supernode front, int block_size) {
   const double pivots = double(front.pivots) * block_size, rows = double(front.rows) * block_size;
   const double products = pivots * (pivots * pivots / 6 + rows * (pivots + rows) / 2);

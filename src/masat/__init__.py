@@ -1,6 +1,6 @@
-"""Pose-graph SLAM without a guess: read, diagnose, initialise, optimise, plot."""
+"""Pose-graph SLAM without a guess: read, diagnose, initialize, optimize, plot."""
 
-from masat.certificate import Certificate, certify
+from masat.optimality.certificate import Certificate, certify
 from masat.covariance import covariances, relative_covariances
 from masat.diagnostics import Diagnosis, diagnose
 from masat.errors import (

@@ -82,7 +82,7 @@ def known_edges(nodes: Ids, pairs: Ids) -> None:
 
 
 def rotations(poses: Floats, what: str, names: Ids, kind: str) -> Floats:
-    """Check that poses are finite and normalise their quaternions."""
+    """Check that poses are finite and normalize their quaternions."""
 
     def refuse(row: int, why: str) -> None:
         name = names[row] if kind == "node" else f"{row} ({names[row, 0]} -> {names[row, 1]})"

@@ -1,4 +1,4 @@
-"""The native module: text, graph walks, linearisation, sparse factorisation.
+"""The native module: text, graph walks, linearization, sparse factorization.
 
 Arrays are C-contiguous; poses are (n, 3) or (n, 7), tangent vectors have 3 or 6 numbers.
 Out-of-range shapes raise ValueError, wrong types TypeError: callers check first.
@@ -31,7 +31,7 @@ def place_along_tree(
 def place_by_masat(
     topology: Topology, roots: Indices, measurements: Floats, poses: Floats
 ) -> Floats: ...
-def place_surest_first(
+def place_most_informed_first(
     topology: Topology, roots: Indices, measurements: Floats, poses: Floats
 ) -> Floats: ...
 def place_by_toro(
@@ -67,7 +67,7 @@ class GraphMatrix:
     def solve(self, rhs: Floats) -> Floats: ...
     def inverse(self, rows: Indices, columns: Indices) -> Floats: ...
 
-def settle_translations(
+def solve_translations(
     topology: Topology,
     matrix: GraphMatrix,
     measurements: Floats,
@@ -143,7 +143,7 @@ class ParsedGraph(TypedDict):
 def parse(text: bytes, records: Sequence[Record]) -> ParsedGraph: ...
 def count_tags(text: bytes) -> dict[bytes, int]: ...
 def format_lines(tag: str, integers: Ids, values: Floats) -> bytes: ...
-def minimise_lifted(
+def minimize_lifted(
     matrix: GraphMatrix,
     forcing: Floats,
     constant: float,

@@ -15,7 +15,7 @@ from masat.optimizers.equations import normal_equations, why_singular
 def covariances(graph: PoseGraph, ids: ArrayLike | None = None) -> Floats:
     """Return the marginal covariances of poses, given all measurements.
 
-    They belong to the Gaussian of the linearised problem at the graph's poses, normally those of
+    They belong to the Gaussian of the linearized problem at the graph's poses, normally those of
     an optimum: blocks of the inverse of H = sum J' W J. The anchors hold still, their covariances
     are zero; other anchors (`fixed`) give other covariances.
 
@@ -31,7 +31,7 @@ def covariances(graph: PoseGraph, ids: ArrayLike | None = None) -> Floats:
     ndarray, (k, 3, 3) or (k, 6, 6)
         Covariance of the step that `masat.lie.retract` takes from the pose: x, y, theta, or
         translation and vector part of the quaternion (half the angle), in the node's own frame;
-        metres and radians. g2o's order and scale, as in `graph.information`.
+        meters and radians. g2o's order and scale, as in `graph.information`.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def covariances(graph: PoseGraph, ids: ArrayLike | None = None) -> Floats:
 
     Notes
     -----
-    Costs one factorisation and about as much again, by the recursion of Erisman and Tinney (CACM
+    Costs one factorization and about as much again, by the recursion of Erisman and Tinney (CACM
     1975) down the factor; for few nodes only along their paths to its root.
 
     gtsam has the rotation first, as a rotation vector, which is twice the quaternion's part::

@@ -63,7 +63,7 @@ class InitializationError(MasatError, ValueError):
 
 
 class OptimizationError(MasatError, ValueError):
-    """An optimisation cannot start as asked."""
+    """An optimization cannot start as asked."""
 
 
 class MasatWarning(UserWarning):

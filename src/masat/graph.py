@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from masat import _checks as checks
 from masat import _core, lie
 from masat.arrays import Floats, Ids, Indices
-from masat.elimination import eliminate
+from masat.structure import eliminate
 from masat.errors import GraphError
 
 
@@ -28,7 +28,7 @@ class PoseGraph:
     ids : ndarray of int64, (n,)
         Node ids, ascending; any integers, gaps allowed.
     poses : ndarray, (n, 3) or (n, 7), or None
-        x, y, theta or x, y, z, qx, qy, qz, qw: metres, radians, unit quaternions; None as long as
+        x, y, theta or x, y, z, qx, qy, qz, qw: meters, radians, unit quaternions; None as long as
         nobody has given or guessed them.
     edges : ndarray of int64, (m, 2)
         Ids of the nodes (from, to) that each edge joins.
@@ -71,7 +71,7 @@ class PoseGraph:
             Ids (from, to). A pair may occur more than once: each is a measurement of its own.
         measurements : array_like, (m, 3) or (m, 7)
             Pose of `to` in the frame of `from`. Quaternions off unit length by rounding are
-            normalised.
+            normalized.
         information : array_like, (m, d, d) or (d, d), optional
             One symmetric positive-definite matrix an edge, or one for all; d is 3 or 6. Default:
             the identity.

@@ -1,6 +1,6 @@
-"""Operations on SE(2) and SE(3), vectorised over the rows of arrays.
+"""Operations on SE(2) and SE(3), vectorized over the rows of arrays.
 
-A pose is (x, y, theta) in SE(2) and (x, y, z, qx, qy, qz, qw) in SE(3): metres, radians, unit
+A pose is (x, y, theta) in SE(2) and (x, y, z, qx, qy, qz, qw) in SE(3): meters, radians, unit
 quaternions; it maps coordinates of its own frame to those of its parent. The last axis of an array
 tells the group; the axes before it broadcast.
 """
@@ -54,7 +54,7 @@ def between(a: ArrayLike, b: ArrayLike) -> Floats:
 
 
 def retract(a: ArrayLike, step: ArrayLike) -> Floats:
-    """Return a * X(step), the optimisers' update of a pose.
+    """Return a * X(step), the optimizers' update of a pose.
 
     Parameters
     ----------

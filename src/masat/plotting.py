@@ -36,11 +36,11 @@ def plot(
     Parameters
     ----------
     graphs : PoseGraph or mapping of title to PoseGraph
-        Graphs with poses, each in a panel of its own, in metres, in 2D and 3D.
+        Graphs with poses, each in a panel of its own, in meters, in 2D and 3D.
     path : path-like, optional
         Where to write the picture; the ending gives the format (.png, .pdf, .svg).
     color_by_error : bool
-        Colour every edge by its chi2, on one logarithmic scale for all panels.
+        Color every edge by its chi2, on one logarithmic scale for all panels.
     columns : int
         Panels in a row, each 5 inches wide.
     dpi : int
@@ -60,7 +60,7 @@ def plot(
     panels = {"": graphs} if isinstance(graphs, PoseGraph) else dict(graphs)
     for title, graph in panels.items():
         if graph.poses is None:
-            raise GraphError(f"the graph {title!r} has no poses to draw: initialise it first")
+            raise GraphError(f"the graph {title!r} has no poses to draw: initialize it first")
     columns = min(columns, len(panels))
     rows = -(-len(panels) // columns)
     figure = Figure(figsize=(_PANEL * columns, _PANEL * rows), layout="constrained")

@@ -14,7 +14,7 @@ EXIT_INTERRUPTED = 130
 
 # Their help stands here so that `masat --help` loads none of them.
 _COMMANDS = {
-    "solve": "Optimise a pose graph and write the map.",
+    "solve": "Optimize a pose graph and write the map.",
     "info": "Say what a pose graph is like and what is odd about it.",
     "compare": "Solve a pose graph from every start and compare.",
     "certify": "Tell whether the poses of a file are globally optimal.",
@@ -49,7 +49,7 @@ class _Commands(click.Group):
 def cli() -> None:
     """Pose-graph SLAM without a guess.
 
-    FILE is a pose graph in the format of g2o, TORO or iSAM, gzipped or not, recognised by its
+    FILE is a pose graph in the format of g2o, TORO or iSAM, gzipped or not, recognized by its
     content.
 
     Exit codes: 0 done, 1 did not converge (the best result is still written), 2 bad input or usage.

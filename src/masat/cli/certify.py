@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from masat.certificate import Certificate
-from masat.certificate import certify as certified
+from masat.optimality.certificate import Certificate
+from masat.optimality.certificate import certify as certified
 from masat.cli import EXIT_NOT_CONVERGED, options, show
 from masat.formats import write
 

@@ -20,7 +20,7 @@ _DRAWN = ("odometry", "spanning_tree", "masat", "auto")
     type=click.FloatRange(min=0),
     default=0.2,
     show_default=True,
-    help="Standard deviation of each measured x, y (metres) and heading (radians).",
+    help="Standard deviation of each measured x, y (meters) and heading (radians).",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option(
@@ -47,7 +47,7 @@ def demo(nodes: int, noise: float, seed: int, picture: Path, as_json: bool, quie
     shown = [r for r in runs if r.init in _DRAWN]
     plot(
         {f"start: {r.init}": r.guess for r in shown}
-        | {f"{r.init}, optimised: chi2 {r.result.chi2:.4g}": r.result.graph for r in shown},
+        | {f"{r.init}, optimized: chi2 {r.result.chi2:.4g}": r.result.graph for r in shown},
         picture,
         columns=len(shown),
     )

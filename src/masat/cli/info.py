@@ -17,7 +17,7 @@ from masat.diagnostics import Diagnosis, diagnose
     "--plot",
     "picture",
     type=click.Path(path_type=Path),
-    help="Picture of FILE's own poses, edges coloured by their error.",
+    help="Picture of FILE's own poses, edges colored by their error.",
 )
 @options.output
 def info(

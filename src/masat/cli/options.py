@@ -83,7 +83,7 @@ def threads(command: F) -> F:
         type=click.IntRange(min=1),
         default=1,
         show_default=True,
-        help="Threads of the factorisation; the numbers do not depend on it.",
+        help="Threads of the factorization; the numbers do not depend on it.",
     )(command)
 
 

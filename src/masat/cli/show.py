@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from masat.certificate import Certificate
+from masat.optimality.certificate import Certificate
 from masat.optimizers import Iteration, Result
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ class _Line:
 
 
 class Watch(_Line):
-    """Shows the progress of an optimisation."""
+    """Shows the progress of an optimization."""
 
     def __init__(self, what: str, limit: int, *, quiet: bool) -> None:
         super().__init__(what, quiet=quiet)

@@ -35,7 +35,7 @@ def _sigmas(
     multiple=True,
     callback=_sigmas,
     metavar="SIGMA,...",
-    help="Standard deviations, metres and radians. 2D: x,y,theta. 3D: translation,rotation, or "
+    help="Standard deviations, meters and radians. 2D: x,y,theta. 3D: translation,rotation, or "
     "x,y,z and the rotation vector's three. Without it, measurements are exact.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from masat.certificate import Certificate, certify
+from masat.optimality.certificate import Certificate, certify
 from masat.cli import EXIT_NOT_CONVERGED, options, show
 from masat.formats import write
 from masat.initializers import initialize
@@ -51,7 +51,7 @@ def solve(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Optimise the pose graph in FILE: read, initialise, optimise, write, draw.
+    """Optimize the pose graph in FILE: read, initialize, optimize, write, draw.
 
     Nodes named by FIX keep their poses; without such, the smallest id of each component does.
     """
@@ -83,7 +83,7 @@ def solve(
         from masat.plotting import plot
 
         plot({f"{init}: chi2 {result.initial_chi2:.4g}": guess,
-              f"optimised: chi2 {result.chi2:.4g}": result.graph}, picture)  # fmt: skip
+              f"optimized: chi2 {result.chi2:.4g}": result.graph}, picture)  # fmt: skip
     times = {"read": loaded - begin, "initialize": guessed - loaded, "optimize": result.seconds}
     proof = None
     if result.converged and (as_json or not quiet):

@@ -23,7 +23,7 @@ _SIN = np.array([0, 1, 0, -1])
 def recover_grid_truth(graph: PoseGraph) -> PoseGraph:
     """Recover the truth of a world on the unit grid.
 
-    The graph is optimised from MASAT, each step from a node to the next is rounded to metres and
+    The graph is optimized from MASAT, each step from a node to the next is rounded to meters and
     quarter turns, and the steps are added up in integers. Every measurement must then lie less
     than half a cell and half a quarter turn from the truth; a single wrong step would put the loop
     closures over it a whole one off. Their root mean square deviation must be at most 0.2 of a
@@ -74,7 +74,7 @@ def _check_chain(graph: PoseGraph) -> None:
 
 
 def _steps(graph: PoseGraph) -> Ids:
-    """Return the steps between consecutive nodes, (n - 1, 3): metres and quarter turns."""
+    """Return the steps between consecutive nodes, (n - 1, 3): meters and quarter turns."""
     # Poses and fixed nodes of the graph's own would bend the map.
     bare = PoseGraph.from_arrays(graph.edges, graph.measurements, graph.information, ids=graph.ids)
     poses = optimize(initialize(bare)).poses
@@ -129,5 +129,5 @@ def _check_edges(graph: PoseGraph, exact: Ids) -> None:
 
 
 def _metric(cells: Ids) -> Floats:
-    """Return metres and radians in (-pi, pi] for metres and quarter turns."""
+    """Return meters and radians in (-pi, pi] for meters and quarter turns."""
     return np.column_stack([cells[:, :2], (np.pi / 2) * ((cells[:, 2] + 1) % 4 - 1)])

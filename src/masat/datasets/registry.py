@@ -25,7 +25,7 @@ class Dataset:
         What `masat.datasets.fetch` calls it.
     repository, commit, path : str
         GitHub's OWNER/NAME, the commit, and the path of the file there.
-    licence : str
+    license : str
         What the repository states for itself as a whole; none has one for its data.
     file : str
         Name of the file in a folder of copies; that of `path` where it is unique.
@@ -43,7 +43,7 @@ class Dataset:
     repository: str
     commit: str
     path: str
-    licence: str
+    license: str
     file: str
     sha256: str
     dimension: int

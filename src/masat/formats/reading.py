@@ -14,7 +14,7 @@ import numpy as np
 from masat import _core
 from masat.arrays import Floats
 from masat.errors import FormatError, GraphError, InformationError, MasatWarning
-from masat.formats.registry import FORMATS, printable, recognise
+from masat.formats.registry import FORMATS, printable, recognize
 from masat.formats.table import Format
 from masat.graph import PoseGraph
 from masat.information import Repair, nearest_positive_definite
@@ -34,7 +34,7 @@ def read(
     Parameters
     ----------
     path : path-like
-        The file. Its format is recognised by its tags, not by its name.
+        The file. Its format is recognized by its tags, not by its name.
     format : str, optional
         One of `masat.formats.FORMATS`, where the tags leave it open (EDGE2 is iSAM's or TORO's) or
         mislead.
@@ -83,7 +83,7 @@ def _text(path: Path) -> bytes:
 
 def _format(name: str | None, text: bytes, path: Path) -> tuple[Format, list[str]]:
     if name is None:
-        table, rivals = recognise(text, path)
+        table, rivals = recognize(text, path)
         return table, [
             f"the tags fit {table.name} and {rival}: read as {table.name}; "
             f'choose with format="{rival}"'

@@ -1,4 +1,4 @@
-"""The formats, and the one place that recognises them."""
+"""The formats, and the one place that recognizes them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def printable(tag: bytes) -> str:
     return text + ("..." if len(tag) > 40 else "")
 
 
-def recognise(text: bytes, path: Path) -> tuple[Format, list[str]]:
+def recognize(text: bytes, path: Path) -> tuple[Format, list[str]]:
     """Return the format that knows most lines of a text, and the names of its rivals.
 
     Raises

@@ -17,7 +17,7 @@ from masat.initializers.masat import masat
 from masat.initializers.odometry import odometry
 from masat.initializers.spanning_tree import spanning_tree
 from masat.initializers.spectral import spectral
-from masat.initializers.surest_first import surest_first
+from masat.initializers.most_informed_first import most_informed_first
 from masat.initializers.toro import toro
 
 
@@ -33,7 +33,7 @@ INITIALIZERS: dict[str, Initializer] = {
     "odometry": odometry,
     "spanning_tree": spanning_tree,
     "masat": masat,
-    "surest_first": surest_first,
+    "most_informed_first": most_informed_first,
     "lago": lago,
     "chordal": chordal,
     "spectral": spectral,

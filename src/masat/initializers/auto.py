@@ -11,9 +11,9 @@ from masat.initializers.roots import rooted
 def auto(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     """Begin cheaply, check, and search on only where that leaves doubt.
 
-    The chordal start, optimised; if the minimum looks global
-    (`masat.relaxation.Relaxation.plausible`), it is the start. If not, lower ones are sought around
-    the places that leave doubt (`masat.minima`), and of all nodes together where the way to the
+    The chordal start, optimized; if the minimum looks global
+    (`masat.optimality.relaxation.Relaxation.plausible`), it is the start. If not, lower ones are sought around
+    the places that leave doubt (`masat.optimality.search`), and of all nodes together where the way to the
     first was long. The rule is measured in docs/starts.md.
     """
     guess = chordal(graph)

@@ -19,11 +19,11 @@ _TOLERANCE = 1e-4
 def cauchy(
     graph: PoseGraph, root: int | None = None, *, scale: float = 1.0, iterations: int = 50
 ) -> PoseGraph:
-    """Optimise odometry under a cost that hardly heeds the edges that contradict it.
+    """Optimize odometry under a cost that hardly heeds the edges that contradict it.
 
-    Minimises the sum of c^2 log(1 + chi2 / c^2) over the edges, c being the scale, by
+    Minimizes the sum of c^2 log(1 + chi2 / c^2) over the edges, c being the scale, by
     Levenberg-Marquardt. The loops that odometry misses by far pull little at first, and the more,
-    the better their neighbours fit; wrong loops stay without a say.
+    the better their neighbors fit; wrong loops stay without a say.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def cauchy(
         and rad of noise; 2 and 2.8 need fewer iterations after them, but failed in up to a third
         of the runs at .3.
     iterations : int
-        At most so many, each as dear as one of an optimiser. They end when the cost changes by
+        At most so many, each as dear as one of an optimizer. They end when the cost changes by
         less than 1e-4 of itself; 25, or a change of 1e-3, led to worse minima.
 
     Returns

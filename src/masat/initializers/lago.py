@@ -1,14 +1,15 @@
-"""Linear approximation for graph optimisation (LAGO)."""
+"""Linear approximation for graph optimization (LAGO)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from masat import _core, lie, quadratic
+from masat import _core, lie, linear
 from masat.arrays import Floats
 from masat.errors import InitializationError
 from masat.graph import PoseGraph
 from masat.initializers.roots import rooted, roots_of
+from masat.optimizers.translations import solve_translations
 
 _TURN = 2 * np.pi
 
@@ -18,13 +19,13 @@ def lago(graph: PoseGraph, root: int | None = None) -> PoseGraph:
 
     The headings along the breadth-first tree tell by how many turns each further measurement
     differs from the sum of its cycle; less these turns, all headings are one weighted linear
-    least-squares problem. Then come the positions that minimise chi2. Two linear systems, whatever
+    least-squares problem. Then come the positions that minimize chi2. Two linear systems, whatever
     the noise, as long as it adds up to less than half a turn around each cycle of the tree.
 
     Sources: Carlone, Aragues, Castellanos, Bona, A fast and accurate approximation for planar pose
     graph optimization, IJRR 2014; the turns: Carlone, Censi, From angular manifolds to the integer
     lattice, T-RO 2014. Their second phase is a Gauss-Newton step in headings and positions; that
-    of the positions alone costs less, and leaves to an optimiser the step that it takes anyway.
+    of the positions alone costs less, and leaves to an optimizer the step that it takes anyway.
     """
     if graph.dimension != 2:
         raise InitializationError("lago is for planar graphs only: in 3D choose chordal")
@@ -34,7 +35,7 @@ def lago(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     )
     turns = np.zeros_like(poses)
     turns[:, 2] = _corrections(graph, poses[:, 2])
-    return rooted(graph, quadratic.settle(graph, lie.retract(poses, turns)), root, notes)
+    return rooted(graph, solve_translations(graph, lie.retract(poses, turns)), root, notes)
 
 
 def _corrections(graph: PoseGraph, headings: Floats) -> Floats:
@@ -48,5 +49,5 @@ def _corrections(graph: PoseGraph, headings: Floats) -> Floats:
     force = weight * misfit
     pull = np.subtract(np.bincount(end, force, n), np.bincount(start, force, n))
     still = np.zeros((n, 1, 1))
-    form = quadratic.Form(block, -block, block)
-    return quadratic.Minimiser(graph, form, still)(pull.reshape(still.shape)).ravel()
+    form = linear.Form(block, -block, block)
+    return linear.Minimizer(graph, form, still)(pull.reshape(still.shape)).ravel()

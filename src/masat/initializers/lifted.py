@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from masat import relaxation
+from masat.optimality import relaxation
 from masat.arrays import Floats
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
 from masat.initializers.roots import rooted
-from masat.lifting import lift
-from masat.minima import LOWER, NEAR, lower_minimum
+from masat.optimality.lifting import lift
+from masat.optimality.search import LOWER, NEAR, lower_minimum
 from masat.optimizers import optimize
 
 # Iterations of Gauss-Newton: a longer way leads, as like as not, to a minimum that is wrong far and
@@ -25,7 +25,7 @@ def lifted(graph: PoseGraph, root: int | None = None, *, seed: int = 0) -> PoseG
     """Solve the chordal problem to its global minimum, in a higher rank where that takes one.
 
     Begins at the minimum near the chordal start. Where that does not look global, lower ones are
-    sought around the places that leave doubt (`masat.minima`), and of all nodes together where the
+    sought around the places that leave doubt (`masat.optimality.search`), and of all nodes together where the
     way to it was long. Ends at the minimum of the chordal cost, or of chi2 if doubt was left.
     Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Dellaert, Rosen, Wu, Mahony,
     Carlone, Shonan rotation averaging, ECCV 2020.
@@ -55,7 +55,7 @@ def best_minimum(guess: PoseGraph, *, seed: int = 0) -> tuple[Floats, bool]:
             if other.chi2 < found.chi2 * (1 - LOWER):
                 found = lower_minimum(other.graph, seed=seed)
     except OptimizationError as error:
-        raise InitializationError(f"this start has to optimise, and cannot: {error}") from error
+        raise InitializationError(f"this start has to optimize, and cannot: {error}") from error
     assert found.graph.poses is not None
     return found.graph.poses, False
 

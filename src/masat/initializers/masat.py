@@ -8,7 +8,7 @@ from masat.initializers.roots import roots_of
 
 
 def masat(graph: PoseGraph, root: int | None = None) -> PoseGraph:
-    """Place each node, breadth-first, at the average of what its placed neighbours say.
+    """Place each node, breadth-first, at the average of what its placed neighbors say.
 
     Positions are averaged as vectors, headings as unit vectors, 3D rotations as unit quaternions of
     like sign; proposals weigh the same, information plays no part. One pass over the edges: linear

@@ -12,7 +12,7 @@ from masat.initializers.roots import roots_of
 def odometry(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     """Chain the measurements between nodes with consecutive ids.
 
-    In a list of ids with gaps, neighbours in the list count as consecutive. Where the chain is
+    In a list of ids with gaps, neighbors in the list count as consecutive. Where the chain is
     broken, its pieces are joined by the tree with the fewest other edges, and the notes tell how
     many.
     """

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from masat import _core, quadratic
+from masat import _core, linear
 from masat.arrays import Floats, Ids, Indices
 from masat.graph import PoseGraph
 from masat.initializers.roots import anchored, rooted
+from masat.optimizers.translations import solve_translations
 
 _MOST_STEPS = 100
 
@@ -19,9 +20,9 @@ _INDEPENDENT = 1e-8
 def spectral(graph: PoseGraph, root: int | None = None, *, tolerance: float = 1e-6) -> PoseGraph:
     """Take all rotations at once from eigenvectors, and then solve for all positions.
 
-    Minimises the weighted |R_j - R_i R|^2 over matrices as the chordal start does; but where that
+    Minimizes the weighted |R_j - R_i R|^2 over matrices as the chordal start does; but where that
     holds a node, and lets the matrices shrink far from it, here their columns are orthonormal over
-    the whole component. Then come the nearest rotations, and the positions that minimise chi2.
+    the whole component. Then come the nearest rotations, and the positions that minimize chi2.
 
     Parameters
     ----------
@@ -31,7 +32,7 @@ def spectral(graph: PoseGraph, root: int | None = None, *, tolerance: float = 1e
         Id of the node placed at the identity.
     tolerance : float
         The eigenvectors are found when a step of inverse iteration turns the space that they span
-        by a sine no greater. All steps share one factorisation. Noise may concentrate the vectors:
+        by a sine no greater. All steps share one factorization. Noise may concentrate the vectors:
         on 10kHog-man some nodes have 1e-5 of the mean, and 1e-4 is not enough.
 
     Returns
@@ -47,7 +48,7 @@ def spectral(graph: PoseGraph, root: int | None = None, *, tolerance: float = 1e
     averaging and pose-graph SLAM, ICRA 2022.
     """
     poses, notes = anchored(graph)
-    known = quadratic.rotations(poses)
+    known = linear.rotations(poses)
     laplacian = _Laplacian(graph, known)
     unknowns, turned = laplacian.lowest_vectors(tolerance)
     if turned > tolerance:
@@ -61,8 +62,8 @@ def spectral(graph: PoseGraph, root: int | None = None, *, tolerance: float = 1e
         fit = _core.nearest_rotations((unknowns[lead].T @ known[lead])[None])
         turn = _core.rotation_matrices(fit)[0]
         unknowns[own] = unknowns[own] @ turn
-    guess = quadratic.nearest_rotations(graph, poses, unknowns)
-    return rooted(graph, quadratic.settle(graph, guess), root, notes)
+    guess = linear.nearest_rotations(graph, poses, unknowns)
+    return rooted(graph, solve_translations(graph, guess), root, notes)
 
 
 class _Laplacian:
@@ -79,7 +80,7 @@ class _Laplacian:
         labels = graph.components[self._anchors]
         self.leads = self._anchors[np.unique(labels, return_index=True)[1]]
         self._lead = self.leads[labels]
-        self._weight = quadratic.rotation_weights(graph)
+        self._weight = linear.rotation_weights(graph)
         self._back = _core.rotation_matrices(graph.measurements).transpose(0, 2, 1)
         self.nodes = _groups(graph.components)
         self._edges = _groups(graph.components[graph.edge_indices[:, 0]], len(self.nodes))
@@ -89,13 +90,13 @@ class _Laplacian:
 
         Inverse iteration goes from X to inv(L) X, but L is singular without noise. With H, of least
         energy where the multiple is 1, inv(L) X inv(H'X) H'LH spans the same; its multiple is 1,
-        and what it minimises with the anchors held is regular. A step takes the best of the space
+        and what it minimizes with the anchors held is regular. A step takes the best of the space
         of that, of X and of the X before. Source: Knyazev, Toward the optimal preconditioned
         eigensolver, SISC 2001.
         """
-        form = quadratic.rotation_form(self._graph, self._weight)
-        minimiser = quadratic.Minimiser(self._graph, form, self._known)
-        chordal = minimiser(np.zeros_like(self._known))
+        form = linear.rotation_form(self._graph, self._weight)
+        minimizer = linear.Minimizer(self._graph, form, self._known)
+        chordal = minimizer(np.zeros_like(self._known))
         energies = self._energies(chordal)
         x = self._best(chordal)
         aside = np.zeros_like(x)
@@ -104,7 +105,7 @@ class _Laplacian:
             for own, energy in zip(self.nodes, energies, strict=True):
                 inner = _product(chordal[own], x[own])
                 pull[own] = x[own] @ np.linalg.solve(inner, energy)
-            step = minimiser(pull)
+            step = minimizer(pull)
             for own in self.nodes:
                 step[own] = step[own] @ np.linalg.inv(_product(x[own], step[own]))
             ahead = step - x  # and at right angles to x
@@ -114,7 +115,7 @@ class _Laplacian:
             before, x = x, self._best(np.concatenate([x, ahead, aside], axis=2))
             for own in self.nodes:
                 aside[own] = before[own] - x[own] @ _product(x[own], before[own])
-        # Where vectors are small their neighbours agree after a step of inverse iteration only.
+        # Where vectors are small their neighbors agree after a step of inverse iteration only.
         return self._best(step), turned
 
     def _energies(self, vectors: Floats) -> list[Floats]:

@@ -1,4 +1,4 @@
-"""Tree-based network optimiser (TORO)."""
+"""Tree-based network optimizer (TORO)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Optimisers; a method is one file here and one line of `OPTIMIZERS`."""
+"""Optimizers; a method is one file here and one line of `OPTIMIZERS`."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def optimize(
     threads: int = 1,
     report: Report | None = None,
 ) -> Result:
-    """Minimise chi2, the sum over the edges of e' W e, over the poses of the free nodes.
+    """Minimize chi2, the sum over the edges of e' W e, over the poses of the free nodes.
 
     Parameters
     ----------
@@ -68,9 +68,9 @@ def optimize(
     absolute_tolerance : float
         Stop when chi2 changes by no more. Changes within the rounding of the coordinates stop too.
     gradient_tolerance : float
-        Stop when no component of the gradient of chi2 is larger (chi2 per metre or radian).
+        Stop when no component of the gradient of chi2 is larger (chi2 per meter or radian).
     threads : int
-        How many factorise; they pay on graphs of ten thousand nodes or more, and in 3D from a few
+        How many factorize; they pay on graphs of ten thousand nodes or more, and in 3D from a few
         thousand. The numbers do not depend on it.
     report : callable, optional
         Called with the `Iteration` after each; returning True stops.
@@ -86,7 +86,7 @@ def optimize(
         If the graph has no poses, or the method is unknown.
     """
     if method not in OPTIMIZERS:
-        raise OptimizationError(f"unknown optimiser {method!r}; known: {', '.join(OPTIMIZERS)}")
+        raise OptimizationError(f"unknown optimizer {method!r}; known: {', '.join(OPTIMIZERS)}")
     if graph.poses is None:
         raise OptimizationError("the graph has no poses: give it some with masat.initialize")
     if max_iterations < 0 or min(relative_tolerance, absolute_tolerance, gradient_tolerance) < 0:

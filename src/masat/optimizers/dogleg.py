@@ -25,8 +25,8 @@ def dogleg(
 ) -> Outcome:
     """Take the Gauss-Newton step as far as a trust region allows, bent to the steepest descent.
 
-    One factorisation an iteration, however often the region shrinks. Lengths are in the metric of
-    the diagonal of H, blind to metres and radians. Sources: Powell, A new algorithm for
+    One factorization an iteration, however often the region shrinks. Lengths are in the metric of
+    the diagonal of H, blind to meters and radians. Sources: Powell, A new algorithm for
     unconstrained optimization, 1970; Nocedal and Wright, Numerical Optimization, 2006, algorithm
     4.1 and section 4.1.
     """

@@ -8,7 +8,7 @@ import numpy as np
 
 from masat import _core
 from masat.arrays import Floats
-from masat.elimination import eliminate
+from masat.structure import eliminate
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
 
@@ -16,7 +16,7 @@ _EPSILON = float(np.finfo(np.float64).eps)
 
 
 class Equations(Protocol):
-    """What an optimiser sees of a cost: its value, and a quadratic model of it.
+    """What an optimizer sees of a cost: its value, and a quadratic model of it.
 
     That of `_core.NormalEquations` is chi2.
     """
@@ -37,10 +37,10 @@ class Equations(Protocol):
         """Return H v."""
 
     def factorize(self, damping: Floats, /) -> int:
-        """Factorise H plus a diagonal; return -1, or the node where it is not definite."""
+        """Factorize H plus a diagonal; return -1, or the node where it is not definite."""
 
     def solve(self) -> Floats:
-        """Return the step: what was factorised times it is `rhs`."""
+        """Return the step: what was factorized times it is `rhs`."""
 
     def retract(self, poses: Floats, step: Floats, /) -> Floats:
         """Return the poses after a step."""

@@ -1,4 +1,4 @@
-"""What an optimisation returns, and how it is kept."""
+"""What an optimization returns, and how it is kept."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Result:
     graph : PoseGraph
         The graph at the best poses met.
     method : str
-        The optimiser.
+        The optimizer.
     reason : StopReason
         Why it stopped.
     message : str
@@ -56,7 +56,7 @@ class Result:
 
     @property
     def poses(self) -> Floats:
-        """The optimised poses, (n, 3) or (n, 7) in the order of `graph.ids`."""
+        """The optimized poses, (n, 3) or (n, 7) in the order of `graph.ids`."""
         assert self.graph.poses is not None
         return self.graph.poses
 

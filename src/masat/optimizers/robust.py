@@ -11,7 +11,7 @@ from masat.arrays import Floats
 class Cauchy:
     """The equations of the sum of c^2 log(1 + chi2 / c^2) over the edges, c being the scale.
 
-    An edge weighs 1 / (1 + chi2 / c^2): iteratively reweighted least squares, under any optimiser.
+    An edge weighs 1 / (1 + chi2 / c^2): iteratively reweighted least squares, under any optimizer.
     H lacks the curvature of the logarithm, which is negative: the model lies above the cost as far
     as the errors are linear. Source: Holland and Welsch, Robust regression using iteratively
     reweighted least-squares, 1977.

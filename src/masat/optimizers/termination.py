@@ -1,4 +1,4 @@
-"""When an optimiser stops, and what it says of itself."""
+"""When an optimizer stops, and what it says of itself."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from masat.arrays import Floats
 
 
 class StopReason(enum.Enum):
-    """Why an optimisation stopped."""
+    """Why an optimization stopped."""
 
     RELATIVE_CHANGE = "relative change of chi2 below the tolerance"
     ABSOLUTE_CHANGE = "change of chi2 below the absolute tolerance"
@@ -42,18 +42,18 @@ _CONVERGED = {
 
 
 class Iteration(NamedTuple):
-    """One iteration of an optimiser.
+    """One iteration of an optimizer.
 
     Attributes
     ----------
     chi2 : float
         At its end.
     step : float
-        Euclidean length of the step, all nodes together (metres and radians mixed).
+        Euclidean length of the step, all nodes together (meters and radians mixed).
     damping : float
         Relative to the diagonal of H; 0 in Gauss-Newton.
     seconds : float
-        Wall time since the optimiser began.
+        Wall time since the optimizer began.
     """
 
     chi2: float
@@ -63,7 +63,7 @@ class Iteration(NamedTuple):
 
 
 Report: TypeAlias = Callable[[Iteration], object]
-"""Called after each iteration; returning True stops the optimiser."""
+"""Called after each iteration; returning True stops the optimizer."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Termination:
 
 
 class Outcome(NamedTuple):
-    """What an optimiser returns: the best poses it met, and why it stopped."""
+    """What an optimizer returns: the best poses it met, and why it stopped."""
 
     poses: Floats
     chi2: float

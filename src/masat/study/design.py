@@ -26,7 +26,7 @@ class Design:
     worlds : tuple of str
         The paper's worlds, or simulated ones as name:nodes:edges.
     sigmas : tuple of tuple of float
-        Noise levels: standard deviations of x, y (metres) and theta (radians).
+        Noise levels: standard deviations of x, y (meters) and theta (radians).
     instances : int
         Noisy instances of each world at each level.
     starts : tuple of str

@@ -13,7 +13,7 @@ from masat.worlds.streets import street_world, walk
 _TURNS = np.array([0, 1, 3])
 _FREQUENCIES = np.array([0.774, 0.113, 0.113])
 _EDGES_PER_NODE = 20687 / 10000
-# Poses a metre of street where closures are few, as in City10k, and for each closure a pose.
+# Poses a meter of street where closures are few, as in City10k, and for each closure a pose.
 # Spread evenly, poses of this density offer about twice the closures wanted.
 _DENSITY, _PER_CLOSURE = 2.2, 1.5
 
@@ -28,10 +28,10 @@ def city(
 ) -> PoseGraph:
     """Simulate a drive through the streets of a city with loop closures where it comes again.
 
-    Steps are of one metre. Only at crossings the robot turns, to the left or to the right, as often
+    Steps are of one meter. Only at crossings the robot turns, to the left or to the right, as often
     as in City10k (Kaess, Ranganathan, Dellaert, iSAM: Incremental smoothing and mapping, 2008);
     where the city ends it turns to a side. It faces the way it went. Loop closures are drawn at
-    random among the pairs of poses at most one metre apart.
+    random among the pairs of poses at most one meter apart.
 
     Parameters
     ----------
@@ -41,9 +41,9 @@ def city(
         Number of measurements, nodes - 1 of them odometry. Default: the share of City10k, 20687
         for 10000 nodes.
     block : int
-        From crossing to crossing, metres.
+        From crossing to crossing, meters.
     extent : int, optional
-        Side of the square, metres; only whole blocks are built. Default: one that offers the loop
+        Side of the square, meters; only whole blocks are built. Default: one that offers the loop
         closures asked for.
     seed : int
         Of the random numbers.
@@ -62,7 +62,7 @@ def city(
     check_size(nodes, edges)
     usual = round(_EDGES_PER_NODE * nodes)
     if block < 1 or (extent is not None and extent < block):
-        raise GraphError(f"a city needs a block, of a metre at least, got {block} of {extent} m")
+        raise GraphError(f"a city needs a block, of a meter at least, got {block} of {extent} m")
     if extent is None:
         density = max(_DENSITY, _PER_CLOSURE * ((edges or usual) - nodes) / nodes)
         # The streets of a square of side e are 2 e (e / block + 1) long.

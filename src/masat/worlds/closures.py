@@ -62,7 +62,7 @@ def on_lattice(places: Ids) -> NearPairs:
 
 
 def within(points: Floats, reach: float, gap: int) -> Ids:
-    """Return the pairs (earlier, later), (c, 2), of points (n, d) at most `reach` metres apart."""
+    """Return the pairs (earlier, later), (c, 2), of points (n, d) at most `reach` meters apart."""
     cells = np.floor(points / reach).astype(np.int64)
     near = NearPairs(cells, np.array(list(product((-1, 0, 1), repeat=points.shape[1]))), gap)
     pairs = near.pairs(np.arange(near.count))

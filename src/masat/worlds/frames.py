@@ -13,7 +13,7 @@ def facing(points: Floats, up: Floats) -> Floats:
     Parameters
     ----------
     points : ndarray, (n, 3)
-        Path, metres, without two equal points in a row.
+        Path, meters, without two equal points in a row.
     up : ndarray, (n, 3) or (3,)
         Directions that the z axes incline to, nowhere along the path.
 

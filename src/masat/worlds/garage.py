@@ -12,9 +12,9 @@ from masat.worlds.frames import facing
 
 _EDGES_PER_NODE = 6275 / 1661
 _LAPS = 2
-_HEIGHT = 3.0  # metres from storey to storey
+_HEIGHT = 3.0  # meters from storey to storey
 _RAMP = 24  # steps of a ramp, one full circle
-_REACH = 3.2  # metres: a storey up or down, a step ahead or back
+_REACH = 3.2  # meters: a storey up or down, a step ahead or back
 
 
 def garage(
@@ -22,7 +22,7 @@ def garage(
 ) -> PoseGraph:
     """Simulate a drive up a parking garage, two laps a storey, then up a winding ramp.
 
-    Steps are of one metre, storeys of three. The robot faces the way it goes, and pitches on the
+    Steps are of one meter, storeys of three. The robot faces the way it goes, and pitches on the
     ramps. Loop closures are drawn at random among the pairs of poses at most 3.2 m apart and half a
     lap of driving: between the laps of a storey and to the storey below, as in parking-garage
     (Kuemmerle et al., g2o, 2011).

@@ -13,7 +13,7 @@ from masat.worlds.frames import facing
 def grid(nodes: int = 8000, edges: int | None = None, *, seed: int = 0) -> PoseGraph:
     """Simulate a walk through a cubic unit lattice, row by row and layer by layer, to and fro.
 
-    Each place is visited once. Loop closures are to neighbours one metre apart, as in grid3D
+    Each place is visited once. Loop closures are to neighbors one meter apart, as in grid3D
     (Carlone et al., Initialization techniques for 3D SLAM, 2015). The robot faces the way it goes.
 
     Parameters

@@ -26,7 +26,7 @@ def perturb(graph: PoseGraph, sigma: Sequence[float], *, seed: int = 0) -> PoseG
     graph : PoseGraph
         The truth.
     sigma : sequence of float
-        Standard deviations, metres and radians. In the plane (3,): x, y, theta. In space (2,):
+        Standard deviations, meters and radians. In the plane (3,): x, y, theta. In space (2,):
         each of x, y, z, and each component of the rotation vector; or (6,): x, y, z, and the
         components of the rotation vector about x, y, z.
     seed : int

@@ -12,7 +12,7 @@ from masat.worlds.frames import facing
 def sphere(nodes: int = 2500, edges: int | None = None, *, seed: int = 0) -> PoseGraph:
     """Simulate a drive over a sphere, in a spiral of as many turns as poses a turn.
 
-    Steps are of one metre at the equator. Each pose is measured from that one turn before, as in
+    Steps are of one meter at the equator. Each pose is measured from that one turn before, as in
     sphere2500 (Kaess et al., iSAM2, 2012). The robot faces along the spiral, its z axis outward.
 
     Parameters

@@ -46,12 +46,12 @@ def walk(turns: Ids, extent: int) -> Ids:
 def street_world(
     headings: Ids, edges: int | None, usual: int, random: np.random.Generator
 ) -> PoseGraph:
-    """Return the truth of a walk from the origin, with loop closures of at most one metre.
+    """Return the truth of a walk from the origin, with loop closures of at most one meter.
 
     Parameters
     ----------
     headings : ndarray of int64, (n - 1,)
-        Headings of the steps of one metre, quarter turns; the robot faces the way it went.
+        Headings of the steps of one meter, quarter turns; the robot faces the way it went.
     edges, usual : int
         Number of measurements, as in `draw`.
     random : Generator

@@ -14,7 +14,7 @@ _EDGES_PER_NODE = 9048 / 5000
 def torus(nodes: int = 5000, edges: int | None = None, *, seed: int = 0) -> PoseGraph:
     """Simulate a drive over a torus, winding around its tube once along the ring.
 
-    Steps are of about one metre, and so are the ways from turn to turn along the middle of the
+    Steps are of about one meter, and so are the ways from turn to turn along the middle of the
     tube; the ring is twice as wide as the tube. The robot faces along the coil, its z axis outward.
     Loop closures are to the pose one turn before, and from the last turn to the first, as in
     torus3D (Carlone et al., Initialization techniques for 3D SLAM, 2015).

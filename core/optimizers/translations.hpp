@@ -1,4 +1,4 @@
-// The translations that minimise chi2 at given rotations.
+// The translations that minimize chi2 at given rotations.
 #pragma once
 
 #include <cstdint>
@@ -13,7 +13,7 @@ namespace masat {
 // in them is exact. Leaves its system in the matrix, whose blocks have a row a coordinate. Returns
 // -1, or the node whose translation is not determined.
 template <class Group>
-std::int32_t settle_translations(const Topology& graph, GraphMatrix& matrix,
+std::int32_t solve_translations(const Topology& graph, GraphMatrix& matrix,
                                  const double* measurements, const double* information,
                                  double* poses) {
   constexpr int kDimension = Group::kDimension, kDof = Group::kDof;

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from masat import relaxation
+from masat.optimality import relaxation
 from masat.arrays import Floats
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
-from masat.minima import lower_minimum
+from masat.optimality.search import lower_minimum
 from masat.optimizers import optimize
 
 # chi2 this much lower, relatively, is another minimum; as between two solvers.
@@ -28,7 +28,7 @@ class Certificate:
     message : str
         What was found, in a sentence.
     chi2, optimum : float
-        chi2 of the poses, and the lowest that an optimiser reached from them or from the minimum
+        chi2 of the poses, and the lowest that an optimizer reached from them or from the minimum
         of the chordal cost.
     cost, bound : float
         Chordal cost of that minimum, and a number that no poses' chordal cost lies below.
@@ -56,9 +56,9 @@ class Certificate:
 def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int = 1) -> Certificate:
     """Tell whether the poses of a graph, from whatever program, are globally optimal.
 
-    The proof is of the chordal cost (see `masat.relaxation`): its minimum near the poses is global
-    if the matrix of its Lagrangian is positive semidefinite, which one factorisation shows, and
-    the higher ranks tighten the bound. The poses share that proof if an optimiser leads from it to
+    The proof is of the chordal cost (see `masat.optimality.relaxation`): its minimum near the poses is global
+    if the matrix of its Lagrangian is positive semidefinite, which one factorization shows, and
+    the higher ranks tighten the bound. The poses share that proof if an optimizer leads from it to
     the same chi2 and from them no lower.
 
     Parameters
@@ -67,11 +67,11 @@ def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int 
         A graph with the poses in question.
     lift : bool
         Whether to go to higher ranks where the poses' own leaves a gap, and to look there for a
-        lower minimum (`masat.minima`): dear.
+        lower minimum (`masat.optimality.search`): dear.
     seed : int
         Of the noise that opens higher ranks.
     threads : int
-        Of the optimiser.
+        Of the optimizer.
 
     Returns
     -------
@@ -107,7 +107,7 @@ def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int 
     else:
         message = (
             "globally optimal for the chordal cost, which stands for chi2: no poses have a cost "
-            "that is lower by more than the gap, and the optimisers lead from there to these poses"
+            "that is lower by more than the gap, and the optimizers lead from there to these poses"
         )
     return Certificate(
         certified=certified,

@@ -13,14 +13,14 @@ namespace masat {
 // Nodes by the information gathered of each: the one with most comes first, of equals the one that
 // reached its class first. A class spans a sixteenth of a power of two: its number is a float's
 // leading bits. Each operation takes constant time.
-class SurestQueue {
+class InformationQueue {
  public:
   struct Entry {
     std::int32_t node;  // -1: none waits
     float information;
   };
 
-  SurestQueue(std::int32_t nodes, std::size_t additions) : information_(nodes, 0), last_(kClasses) {
+  InformationQueue(std::int32_t nodes, std::size_t additions) : information_(nodes, 0), last_(kClasses) {
     links_.reserve(kClasses + additions);
     links_.resize(kClasses, {-1, -1});
     std::iota(last_.begin(), last_.end(), 0);

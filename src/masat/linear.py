@@ -90,8 +90,8 @@ def rotation_form(graph: PoseGraph, weight: Floats) -> Form:
     return Form(same, -weight[:, None, None] * _core.rotation_matrices(graph.measurements), same)
 
 
-class Minimiser:
-    """The minima of a form that pulls shift: factorised once."""
+class Minimizer:
+    """The minima of a form that pulls shift: factorized once."""
 
     def __init__(self, graph: PoseGraph, form: Form, values: Floats) -> None:
         """Take a form; of `values`, (n, d, k), those of the anchors stand."""
@@ -106,7 +106,7 @@ class Minimiser:
             )
 
     def __call__(self, pull: Floats) -> Floats:
-        """Return the unknowns X that minimise the form less the traces of 2 X_i' pull_i.
+        """Return the unknowns X that minimize the form less the traces of 2 X_i' pull_i.
 
         Parameters
         ----------
@@ -136,23 +136,3 @@ def nearest_rotations(graph: PoseGraph, poses: Floats, unknowns: Floats) -> Floa
     held = graph.index(graph.anchors)
     turned[held] = poses[held]
     return turned
-
-
-def settle(graph: PoseGraph, poses: Floats, matrix: _core.GraphMatrix | None = None) -> Floats:
-    """Return the poses with the translations that minimise chi2 at their rotations.
-
-    A matrix of d rows a node that is no longer needed saves the making of another.
-
-    With the full information matrices: chi2 is quadratic in the translations. Source: Carlone,
-    Tron, Daniilidis, Dellaert, Initialization techniques for 3D SLAM, ICRA 2015, section II.
-    """
-    if matrix is None:
-        matrix = _core.GraphMatrix(graph.elimination, graph.dimension)
-    settled, broken = _core.settle_translations(
-        graph.topology, matrix, graph.measurements, graph.information, poses
-    )
-    if broken >= 0:
-        raise InitializationError(
-            f"the edges around node {graph.ids[broken]} do not determine its position"
-        )
-    return settled

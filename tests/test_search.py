@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 from random_graphs import random_graph
 from test_relaxation import ring, twisted
-from test_windings import ring as polygon
+from test_cycles import ring as polygon
 
 import masat
-from masat import InitializationError, OptimizationError, PoseGraph, minima, relaxation
-from masat.lifting import lift
-from masat.minima import lower_minimum
-from masat.regions import Surroundings
-from masat.relaxation import Relaxation
+from masat import InitializationError, OptimizationError, PoseGraph
+from masat.optimality import relaxation
+from masat.optimality import search as minima
+from masat.optimality.lifting import lift
+from masat.optimality.search import lower_minimum
+from masat.optimality.subgraphs import Surroundings
+from masat.optimality.relaxation import Relaxation
 from masat.study.names import Case
 from masat.study.trial import guess_of, instance
 
@@ -116,7 +118,7 @@ def test_what_a_lift_makes_worse_stays(monkeypatch):
         return poses
 
     twisted_again = two_rings().poses
-    monkeypatch.setattr("masat.minima.lift", worse_at_the_second)
+    monkeypatch.setattr("masat.optimality.search.lift", worse_at_the_second)
     monkeypatch.setattr(
         Relaxation, "weak_places", lambda *_: np.array([3, 12 + CHAIN + 3], np.int32)
     )
@@ -196,7 +198,7 @@ def test_a_part_that_cannot_be_lifted_stays(monkeypatch):
         raise InitializationError("the edges around node 1 do not determine it")
 
     graph = two_rings()
-    monkeypatch.setattr("masat.minima.lift", impossible)
+    monkeypatch.setattr("masat.optimality.search.lift", impossible)
     search = minima._Search(graph, seed=0)
     before = search.poses
     assert not search.at_weak_places()
@@ -245,7 +247,7 @@ def test_no_place_is_lost_where_a_pivot_is_hardly_one():
         "Manhattan3500/.15,.15,.3/34",
     ],
 )
-def test_minima_of_the_study_are_left(name, data_dir, monkeypatch):
+def test_search_of_the_study_are_left(name, data_dir, monkeypatch):
     monkeypatch.setenv("MASAT_DATASETS", str(data_dir))
     world, sigma, number = name.split("/")
     graph = instance(Case(world, tuple(map(float, sigma.split(","))), int(number)))

@@ -7,8 +7,8 @@ from masat.graph import PoseGraph
 from masat.initializers.roots import roots_of
 
 
-def surest_first(graph: PoseGraph, root: int | None = None) -> PoseGraph:
-    """Place each node as MASAT does, but next the one that its placed neighbours know best.
+def most_informed_first(graph: PoseGraph, root: int | None = None) -> PoseGraph:
+    """Place each node as MASAT does, but next the one that its placed neighbors know best.
 
     A measurement has the variance 1, and a proposal that plus the variance v of who makes it. A
     node that waits has gathered the sum of 1 / (v + 1) as information; the one with most comes
@@ -24,10 +24,10 @@ def surest_first(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     Notes
     -----
     MASAT is by Hars; the order is that of Prim (Shortest connection networks and some
-    generalizations, 1957), with what all placed neighbours say in place of the best edge.
+    generalizations, 1957), with what all placed neighbors say in place of the best edge.
     Proposals are taken to be independent, though they share errors: with variances that allow for
     that, the walk is nearly breadth-first again, and the guesses no better than those of MASAT.
     """
     roots, poses, notes = roots_of(graph, root)
-    placed = _core.place_surest_first(graph.topology, roots, graph.measurements, poses)
+    placed = _core.place_most_informed_first(graph.topology, roots, graph.measurements, poses)
     return graph.with_poses(placed, notes=notes)

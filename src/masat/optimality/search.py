@@ -7,15 +7,17 @@ from functools import partial
 
 import numpy as np
 
-from masat import lie, quadratic, windings
+from masat import lie, linear
+from masat.optimality import cycles
 from masat.arrays import Flags, Floats
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
-from masat.lifting import lift
+from masat.optimality.lifting import lift
 from masat.optimizers import Iteration, Result, optimize
 from masat.optimizers.equations import edge_chi2
-from masat.regions import Region, Surroundings
-from masat.relaxation import Relaxation
+from masat.optimality.subgraphs import Region, Surroundings
+from masat.optimality.relaxation import Relaxation
+from masat.optimizers.translations import solve_translations
 
 # chi2 this much lower, relatively, is another minimum; near one its changes are below the second.
 LOWER, NEAR = 1e-7, 1e-8
@@ -27,7 +29,7 @@ _NEARLY = 5.0
 # A trial ends where so many more steps like the last would not bring it near.
 _HOPE = 40
 # Radians: a loop whose error has changed by less need not be tried again; and no coordinate of a
-# node that has not moved has changed by more, metres too.
+# node that has not moved has changed by more, meters too.
 _STRAIGHT = 0.01
 # How many loops are tried at the most: the first divided by the nodes of the graph, but not fewer
 # than the second.
@@ -42,9 +44,9 @@ Trial = Callable[[Region], Result]
 def lower_minimum(graph: PoseGraph, *, seed: int = 0) -> Result:
     """Search for a lower minimum around the places that leave doubt about one.
 
-    Nodes are lifted (`masat.lifting`), the rest held still: first those around the places where
+    Nodes are lifted (`masat.optimality.lifting`), the rest held still: first those around the places where
     the certificate fails and around weak edges, each connected part for itself, as long as that
-    lowers chi2; then those of each weak loop (`masat.windings`), which are also turned once more,
+    lowers chi2; then those of each weak loop (`masat.optimality.cycles`), which are also turned once more,
     either way. What lowers chi2 stands at once; after a round that did, all begins anew.
 
     Parameters
@@ -57,7 +59,7 @@ def lower_minimum(graph: PoseGraph, *, seed: int = 0) -> Result:
     Returns
     -------
     Result
-        Of the optimiser, at the lowest minimum met.
+        Of the optimizer, at the lowest minimum met.
 
     Raises
     ------
@@ -90,7 +92,7 @@ class _Search:
         # Of chi2: less than one where the information promises less than it keeps.
         self._unit = min(1.0, settled.reduced_chi2 or 1.0)
         self._relaxed = Relaxation(graph)
-        self._loops = windings.WeakLoops(graph, self._unit)
+        self._loops = cycles.WeakLoops(graph, self._unit)
         self._surroundings = Surroundings(graph)
         self._refused: dict[int, float] = {}
         self._left = max(_LOOPS, _WORK // len(graph.ids))
@@ -129,7 +131,7 @@ class _Search:
                 break
             self._left -= 1
             turns = self._relative(loop)
-            nodes = windings.apart(turns)
+            nodes = cycles.apart(turns)
             trials: list[tuple[Flags, Trial]] = [
                 (around(nodes), partial(self._turn, axis, turns))
                 for axis in (loop.axis, -loop.axis)
@@ -145,12 +147,12 @@ class _Search:
                 self._refused[loop.edge] = loop.error
         return lowered
 
-    def _relative(self, loop: windings.Loop) -> Floats:
+    def _relative(self, loop: cycles.Loop) -> Floats:
         """Return the turns of a loop; where it is the gauge alone that holds, as few as can be."""
         labels = self._graph.components
         label = labels[self._graph.edge_indices[loop.edge, 0]]
         if label in labels[self._gauge]:
-            return windings.stilled(loop.turns, labels == label)
+            return cycles.stilled(loop.turns, labels == label)
         return loop.turns
 
     def _lift(self, region: Region) -> Result:
@@ -168,10 +170,10 @@ class _Search:
         part, inside = region
         assert part.poses is not None
         angles = np.where(inside, turns[part.ids], 0.0)
-        start = windings.turned(part.poses, axis, angles)
+        start = cycles.turned(part.poses, axis, angles)
         nearly = _NEARLY * self._unit
         return optimize(
-            part.with_poses(quadratic.settle(part, start)),
+            part.with_poses(solve_translations(part, start)),
             "dogleg",
             max_iterations=30,
             absolute_tolerance=nearly / 500,
@@ -219,7 +221,7 @@ class _Search:
 
 
 class _Hope:
-    """Stops an optimiser where many more steps like the last would not bring chi2 below a mark."""
+    """Stops an optimizer where many more steps like the last would not bring chi2 below a mark."""
 
     def __init__(self, mark: float, chi2: float = np.inf) -> None:
         self._mark, self._last = mark, chi2
@@ -231,7 +233,7 @@ class _Hope:
 
 
 def _minimum(graph: PoseGraph, poses: Floats, report: _Hope | None = None) -> Result:
-    """Return the minimum that an optimiser finds from some poses."""
+    """Return the minimum that an optimizer finds from some poses."""
     return optimize(
         graph.with_poses(poses),
         "dogleg",

@@ -7,7 +7,7 @@ import pytest
 import masat
 from masat import PoseGraph
 from masat._core import Elimination, NormalEquations
-from masat.elimination import eliminate, nested_dissection
+from masat.structure import eliminate, nested_dissection
 from masat.worlds import sphere
 
 NO_ORDER = np.empty(0, np.int32)
@@ -44,9 +44,9 @@ def test_a_bad_order_is_counted_as_such():
 
 
 def test_the_adjacency_holds_both_directions():
-    start, neighbours = chain(4).elimination.adjacency()
+    start, neighbors = chain(4).elimination.adjacency()
     assert start.tolist() == [0, 1, 3, 4]
-    assert [sorted(neighbours[a:b]) for a, b in pairwise(start)] == [
+    assert [sorted(neighbors[a:b]) for a, b in pairwise(start)] == [
         [1], [0, 2], [1],
     ]  # fmt: skip
 
@@ -72,7 +72,7 @@ def test_much_work_is_dissected(ball):
 
 
 def test_little_work_is_not_dissected(monkeypatch):
-    monkeypatch.setattr("masat.elimination.nested_dissection", lambda _: pytest.fail("dissected"))
+    monkeypatch.setattr("masat.structure.nested_dissection", lambda _: pytest.fail("dissected"))
     assert eliminate(chain(100).topology, held(chain(100)), 3).fill(3) > 0
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from masat import _core, quadratic
+from masat import _core, linear
 from masat.arrays import Floats, Indices
 from masat.errors import InitializationError
 from masat.graph import PoseGraph
@@ -69,7 +69,7 @@ class Relaxation:
 
     def __init__(self, graph: PoseGraph) -> None:
         self.graph = graph
-        self.weights = quadratic.isotropic_weights(graph)
+        self.weights = linear.isotropic_weights(graph)
         self._free = graph.elimination.free_nodes()
         self._held = graph.index(graph.anchors)
         self._matrix = _core.GraphMatrix(graph.elimination, graph.dimension + 1)
@@ -94,17 +94,17 @@ class Relaxation:
         """Return the unknowns of poses, (n, d + 1, rank)."""
         d = self.graph.dimension
         x = np.zeros((len(poses), d + 1, rank))
-        x[:, :d, :d] = quadratic.rotations(poses)
+        x[:, :d, :d] = linear.rotations(poses)
         x[:, d, :d] = poses[:, :d]
         return x
 
-    def minimise(self, x: Floats, *, decrease: float, damping: float, steps: int = 100) -> Point:
+    def minimize(self, x: Floats, *, decrease: float, damping: float, steps: int = 100) -> Point:
         """Go down from x to where a Newton step promises less than a share of the cost."""
         if len(self._free) == 0:
             return Point(x, self.cost(x))
         held_alone = x.copy()
         held_alone[self._free] = 0
-        solved, taken = _core.minimise_lifted(
+        solved, taken = _core.minimize_lifted(
             self._matrix,
             self._assemble(x),
             self.cost(held_alone),
@@ -120,7 +120,7 @@ class Relaxation:
     def polish(self, poses: Floats) -> Point:
         """Go down from poses, at their own rank."""
         x = self.unknowns(poses, self.graph.dimension)
-        return self.minimise(x, decrease=1e-7, damping=1e-2, steps=_POLISHING)
+        return self.minimize(x, decrease=1e-7, damping=1e-2, steps=_POLISHING)
 
     def can_lift(self) -> bool:
         """Whether memory allows a higher rank."""
@@ -149,10 +149,10 @@ class Relaxation:
         out[self._free, :, old:] = smooth * (_NOISE / np.sqrt(np.square(smooth[:, :d]).mean()))
         return out
 
-    def minimise_lifted(self, x: Floats, *, decrease: float, seed: int) -> Point:
+    def minimize_lifted(self, x: Floats, *, decrease: float, seed: int) -> Point:
         """Go down from x in a higher rank, entered by noise."""
         lifted = self.lift(x, np.random.default_rng(seed))
-        return self.minimise(lifted, decrease=decrease, damping=30.0)
+        return self.minimize(lifted, decrease=decrease, damping=30.0)
 
     def gap(self, point: Point) -> float:
         """Return how far any poses may lie below the cost of a point; inf if no bound is known."""
@@ -200,7 +200,7 @@ class Relaxation:
         held = np.ascontiguousarray(x[self._held, :d, :d].transpose(0, 2, 1))
         start[self._held] = _core.nearest_rotations(held)
         start[self._held, :d] = x[self._held, d, :d]
-        return quadratic.nearest_rotations(self.graph, start, np.ascontiguousarray(flat[:, :d]))
+        return linear.nearest_rotations(self.graph, start, np.ascontiguousarray(flat[:, :d]))
 
     def _assemble(self, x: Floats) -> Floats:
         """Set the matrix; return what the held nodes make of the right-hand side."""
@@ -246,7 +246,7 @@ def solve(
     lift: bool = True,
     seed: int = 0,
 ) -> Solution:
-    """Minimise the chordal cost from poses on, in a higher rank where their own leaves doubt.
+    """Minimize the chordal cost from poses on, in a higher rank where their own leaves doubt.
 
     A certificate bounds how far the minimum may lie above the global one. Where it leaves a gap,
     the poses are lifted: columns of noise are added to their frames, which opens ways out of local
@@ -273,7 +273,7 @@ def solve(
     bound = best.cost - relaxed.gap(best)
     known = best.cost - bound <= max(TIGHT * best.cost, relaxed.nothing)
     if lift and not known and relaxed.can_lift():
-        top = relaxed.minimise_lifted(best.unknowns, decrease=1e-6, seed=seed)
+        top = relaxed.minimize_lifted(best.unknowns, decrease=1e-6, seed=seed)
         bound = max(bound, top.cost - relaxed.gap(top))
         rounded = relaxed.polish(relaxed.poses(top.unknowns))
         if rounded.cost < best.cost:

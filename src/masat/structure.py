@@ -7,13 +7,13 @@ import numpy as np
 from masat import _core
 from masat.arrays import Flags, Indices
 
-# Operations a node, of one factorisation by minimum degree, above which nested dissection pays:
-# it takes some 4 us a node, and saves up to half of each of the few factorisations of a solve.
+# Operations a node, of one factorization by minimum degree, above which nested dissection pays:
+# it takes some 4 us a node, and saves up to half of each of the few factorizations of a solve.
 _WORTH_DISSECTING = 3e5
 
 
 def eliminate(topology: _core.Topology, held: Flags, block_size: int) -> _core.Elimination:
-    """Return the cheaper order of those known, by the counted operations of a factorisation.
+    """Return the cheaper order of those known, by the counted operations of a factorization.
 
     Minimum degree (Amestoy, Davis, Duff, An approximate minimum degree ordering algorithm, 1996);
     where that leaves much work, also nested dissection (Karypis and Kumar, A fast and high quality
@@ -36,6 +36,6 @@ def nested_dissection(elimination: _core.Elimination) -> Indices | None:
         import pymetis
     except ImportError:
         return None
-    start, neighbours = elimination.adjacency()
-    order, _ = pymetis.nested_dissection(pymetis.CSRAdjacency(start, neighbours))
+    start, neighbors = elimination.adjacency()
+    order, _ = pymetis.nested_dissection(pymetis.CSRAdjacency(start, neighbors))
     return np.array(order, np.int32)

@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 
 import masat
-from masat import PoseGraph, lie, minima, windings
+from masat import PoseGraph, lie
+from masat.optimality import cycles as windings
+from masat.optimality import search as minima
 
 
 def ring(count, dimension, axis=(0.0, 0.0, 1.0), turns=0):

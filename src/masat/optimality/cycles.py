@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from masat import _core, lie, quadratic
+from masat import _core, lie, linear
 from masat.arrays import Flags, Floats, Indices
 from masat.graph import PoseGraph
 
@@ -67,13 +67,13 @@ class WeakLoops:
         self._graph = graph
         self._promise = _PROMISE * unit
         # chi2 is this weight times the square of the angle.
-        self._weight = 2 * quadratic.rotation_weights(graph)
+        self._weight = 2 * linear.rotation_weights(graph)
         self._free = graph.elimination.free_nodes()
         self._place = np.full(len(graph.ids), -1, np.int32)
         self._place[self._free] = np.arange(len(self._free), dtype=np.int32)
         block = self._weight[:, None, None]
         still = np.zeros((len(graph.ids), 1, 1))
-        self._minimiser = quadratic.Minimiser(graph, quadratic.Form(block, -block, block), still)
+        self._minimizer = linear.Minimizer(graph, linear.Form(block, -block, block), still)
 
     def response(self, edge: int) -> Floats:
         """Return by how much each node turns for another turn at an edge, (n,), in radians."""
@@ -81,17 +81,17 @@ class WeakLoops:
         pull = np.zeros((len(self._graph.ids), 1, 1))
         pull[j] = _TURN * self._weight[edge]
         pull[i] = -pull[j]
-        return self._minimiser(pull).ravel()
+        return self._minimizer(pull).ravel()
 
     @cached_property
     def _slack(self) -> Floats:
         """Return what each edge keeps of a turn of its own, (m,), from 0 to 1."""
         i, j = self._place[self._graph.edge_indices.T]
         every = np.arange(len(self._free), dtype=np.int32)
-        own = np.append(self._minimiser.matrix.inverse(every, every).ravel(), 0.0)
+        own = np.append(self._minimizer.matrix.inverse(every, every).ravel(), 0.0)
         inside = (i >= 0) & (j >= 0)
         joint = np.zeros(len(i))
-        joint[inside] = self._minimiser.matrix.inverse(i[inside], j[inside]).ravel()
+        joint[inside] = self._minimizer.matrix.inverse(i[inside], j[inside]).ravel()
         slack: Floats = 1 - self._weight * (own[i] + own[j] - 2 * joint)
         return slack
 

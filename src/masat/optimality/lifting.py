@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from masat import quadratic
+from masat import linear
 from masat.arrays import Floats
 from masat.graph import PoseGraph
-from masat.relaxation import Relaxation
+from masat.optimality.relaxation import Relaxation
+from masat.optimizers.translations import solve_translations
 
 # Of the cost: a step in the higher rank that promises less is the last.
 _DECREASE = 1e-5
 
 
 def lift(graph: PoseGraph, *, seed: int = 0) -> Floats:
-    """Return poses to optimise from: rounded from a minimum of the chordal cost in a higher rank.
+    """Return poses to optimize from: rounded from a minimum of the chordal cost in a higher rank.
 
-    Where memory does not allow the higher rank (`masat.relaxation`), the poses of the graph.
+    Where memory does not allow the higher rank (`masat.optimality.relaxation`), the poses of the graph.
 
     Parameters
     ----------
@@ -32,8 +33,8 @@ def lift(graph: PoseGraph, *, seed: int = 0) -> Floats:
     if not relaxed.can_lift():
         return graph.poses
     x = relaxed.unknowns(graph.poses, graph.dimension)
-    top = relaxed.minimise_lifted(x, decrease=_DECREASE, seed=seed)
+    top = relaxed.minimize_lifted(x, decrease=_DECREASE, seed=seed)
     poses = relaxed.poses(top.unknowns)
     held = graph.index(graph.anchors)
     poses[held] = graph.poses[held]
-    return quadratic.settle(graph, poses)
+    return solve_translations(graph, poses)

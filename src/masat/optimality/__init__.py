@@ -1,0 +1,1 @@
+"""The global optimum: relaxation, search for lower minima, certificate."""
