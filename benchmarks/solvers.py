@@ -21,7 +21,7 @@ from benchmarks import with_g2o, with_gtsam, with_masat
 from benchmarks.graphs import CASES, Case, quietly_read
 from benchmarks.paths import LIMIT, Path, Run
 from benchmarks.threads import single_threaded
-from masat.optimizers.equations import edge_chi2
+from masat.residuals import chi2_per_edge
 
 WHOLE = 1 / 3
 ITERATION = {"gtsam": 0.33, "g2o": 0.5}
@@ -69,7 +69,7 @@ def chi2_of(graph: masat.PoseGraph, poses: masat.arrays.Floats) -> float:
     """Evaluate anybody's poses; infinite where they are not numbers."""
     if not np.isfinite(poses).all():
         return float("inf")
-    return float(edge_chi2(graph.with_poses(poses)).sum())
+    return float(chi2_per_edge(graph.with_poses(poses)).sum())
 
 
 def try_path(case: Case, graph: masat.PoseGraph, path: Path, own: bool) -> Tried | str:

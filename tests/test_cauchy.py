@@ -39,7 +39,7 @@ def test_weights_multiply_the_information_and_zero_removes_an_edge(dimension):
         weights[left, None, None] * graph.information[left],
         ids=graph.ids,
         poses=graph.poses,
-        fixed=graph.anchors,
+        fixed=graph.gauge,
     )
     weighted, expected = normal_equations(graph), normal_equations(heavier)
     assert np.isclose(weighted.linearize(graph.poses, weights), expected.linearize(graph.poses))

@@ -47,7 +47,7 @@ def test_rotations_are_those_of_the_dense_solution(dimension, seed, fixed):
         graph.edges, graph.measurements, graph.information, poses=graph.poses, fixed=fixed
     )
     guess = chordal(graph).poses
-    held = graph.index(graph.anchors)
+    held = graph.index(graph.gauge)
     start = _core.rotation_matrices(guess[held])
     laplacian = connection_laplacian(graph)
     known, free = (rows(k, dimension) for k in (held, np.setdiff1d(np.arange(12), held)))

@@ -39,7 +39,7 @@ def dense_covariance(graph):
 
     jacobian = derivative(errors, graph.poses, d)
     h = np.einsum("kia,kij,kjb->ab", jacobian, graph.information, jacobian)
-    free = np.repeat(~np.isin(graph.ids, graph.anchors), d)
+    free = np.repeat(~np.isin(graph.ids, graph.gauge), d)
     out = np.zeros_like(h)
     out[np.ix_(free, free)] = np.linalg.inv(h[np.ix_(free, free)])
     return out.reshape(n, d, n, d).transpose(0, 2, 1, 3)
@@ -60,7 +60,7 @@ def test_marginals_are_those_of_the_dense_inverse(dimension, fixed):
     expected = np.einsum("kkij->kij", dense_covariance(graph))
     found = masat.covariances(graph)
     assert_close(found, expected)
-    anchors = graph.index(graph.anchors)
+    anchors = graph.index(graph.gauge)
     assert (found[anchors] == 0).all()
     assert (np.delete(found, anchors, axis=0).trace(axis1=1, axis2=2) > 0).all()
 

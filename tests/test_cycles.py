@@ -108,5 +108,5 @@ def test_components_are_turned_each_for_itself(monkeypatch):
     search, lower = turn_loops(local.graph, monkeypatch)
     assert lower
     assert search.chi2 < 1e-9
-    held = both.index(both.anchors)
+    held = both.index(both.gauge)
     assert (search.poses[held] == local.graph.poses[held]).all()

@@ -86,7 +86,7 @@ def test_ids_may_be_any_integers_of_64_bits(path):
     assert graph.edge_indices.tolist() == [[2, 1], [1, 0]]
     assert graph.index([a, b, c]).tolist() == [0, 1, 2]
     assert graph.fixed.tolist() == [c]
-    assert graph.anchors.tolist() == [c]
+    assert graph.gauge.tolist() == [c]
 
 
 @pytest.mark.parametrize("kind", [np.int8, np.uint8, np.int32, np.uint64])
@@ -143,7 +143,7 @@ def test_one_matrix_for_a_single_edge_is_copied_too():
     "name",
     [
         *("ids", "poses", "edges", "measurements", "information", "fixed"),
-        *("edge_indices", "components", "anchors"),
+        *("edge_indices", "components", "gauge"),
     ],
 )
 def test_arrays_of_a_graph_are_read_only(name, information):
@@ -319,18 +319,18 @@ def test_a_graph_may_have_nodes_and_no_edge(poses):
     assert graph.measurements.shape == (0, size)
     assert graph.information.shape == (0, dof, dof)
     assert_array_equal(graph.components, [0, 1])
-    assert_array_equal(graph.anchors, [3, 7])
+    assert_array_equal(graph.gauge, [3, 7])
 
 
 def test_nodes_without_edges_are_components_of_their_own():
     graph = joined([[5, 9], [3, 1]], ids=[1, 2, 3, 5, 9])
     assert_array_equal(graph.components, [0, 1, 0, 2, 2])
-    assert_array_equal(graph.anchors, [1, 2, 5])
+    assert_array_equal(graph.gauge, [1, 2, 5])
 
 
 def test_a_fixed_node_holds_its_component_and_the_smallest_id_holds_any_other():
     graph = joined([[5, 9], [3, 1]], ids=[1, 2, 3, 5, 9], fixed=[9])
-    assert_array_equal(graph.anchors, [1, 2, 9])
+    assert_array_equal(graph.gauge, [1, 2, 9])
 
 
 node_pairs = st.tuples(st.integers(0, 11), st.integers(0, 11)).filter(lambda e: e[0] != e[1])
@@ -344,7 +344,7 @@ def test_components_are_those_of_merging_along_every_edge(edges):
         low, high = sorted((label[a], label[b]))
         label = [low if k == high else k for k in label]
     assert_array_equal(graph.components, np.unique(label, return_inverse=True)[1])
-    assert_array_equal(graph.anchors, np.unique(label))
+    assert_array_equal(graph.gauge, np.unique(label))
 
 
 def test_repeated_edges_are_measurements_of_their_own():

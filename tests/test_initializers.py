@@ -21,7 +21,8 @@ def same_poses(a, b, tolerance=1e-9):
 
 
 @pytest.mark.parametrize(
-    ("method", "plain"), [("masat", plain_masat), ("most_informed_first", plain_most_informed_first)]
+    ("method", "plain"),
+    [("masat", plain_masat), ("most_informed_first", plain_most_informed_first)],
 )
 @given(
     dimension=st.sampled_from([2, 3]),

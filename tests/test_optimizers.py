@@ -5,9 +5,9 @@ from random_graphs import random_graph, random_poses
 import masat
 from masat import FormatError, OptimizationError, PoseGraph, Result, StopReason, lie
 from masat._core import NormalEquations
-from masat.structure import eliminate
 from masat.optimizers import OPTIMIZERS
-from masat.optimizers.equations import edge_chi2
+from masat.residuals import chi2_per_edge
+from masat.structure import eliminate
 from masat.worlds import manhattan, perturb
 
 METHODS = list(OPTIMIZERS)
@@ -39,7 +39,7 @@ def chi2_by_hand(graph, poses):
 def test_chi2_is_that_of_the_definition(dimension):
     graph = random_graph(dimension, 12, 20, seed=2)
     by_hand = chi2_by_hand(graph, graph.poses)
-    assert np.allclose(edge_chi2(graph), by_hand)
+    assert np.allclose(chi2_per_edge(graph), by_hand)
     assert np.isclose(equations_of(graph).chi2(graph.poses), by_hand.sum())
 
 
@@ -62,7 +62,7 @@ CHI2_IN_THE_FILES = {
 @pytest.mark.filterwarnings("ignore::masat.MasatWarning")
 @pytest.mark.parametrize(("name", "chi2"), CHI2_IN_THE_FILES.items())
 def test_chi2_of_the_files_own_poses_is_g2os(name, chi2, data_dir):
-    assert np.isclose(edge_chi2(masat.read(data_dir / name)).sum(), chi2, rtol=1e-7)
+    assert np.isclose(chi2_per_edge(masat.read(data_dir / name)).sum(), chi2, rtol=1e-7)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -219,8 +219,8 @@ def test_anchors_hold_still_and_are_named(method, fixed):
         graph.edges, graph.measurements, poses=graph.poses, ids=graph.ids, fixed=fixed
     )
     result = masat.optimize(graph, method)
-    assert result.anchors.tolist() == (fixed or [0])
-    assert np.allclose(result.poses[result.anchors], graph.poses[result.anchors], atol=1e-12)
+    assert result.gauge.tolist() == (fixed or [0])
+    assert np.allclose(result.poses[result.gauge], graph.poses[result.gauge], atol=1e-12)
 
 
 def test_each_component_has_an_anchor():
@@ -232,7 +232,7 @@ def test_each_component_has_an_anchor():
         fixed=[9],
     )
     result = masat.optimize(graph)
-    assert result.anchors.tolist() == [1, 5, 9]
+    assert result.gauge.tolist() == [1, 5, 9]
     assert np.allclose(result.poses, [(0, 0, 0), (1, 0, 0), (0, 0, 0), (0, -3, 0), (0, 0, 0)])
 
 
@@ -340,7 +340,7 @@ def test_a_saved_result_comes_back_whole(tmp_path):
         result.method,
         result.message,
     )
-    assert loaded.anchors.tolist() == result.anchors.tolist()
+    assert loaded.gauge.tolist() == result.gauge.tolist()
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 broken", b"VERTEX_SE2 0 0 0 0\n"])

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 from random_graphs import random_graph
-from test_relaxation import ring, twisted
 from test_cycles import ring as polygon
+from test_relaxation import ring, twisted
 
 import masat
 from masat import InitializationError, OptimizationError, PoseGraph
 from masat.optimality import relaxation
 from masat.optimality import search as minima
 from masat.optimality.lifting import lift
+from masat.optimality.relaxation import Relaxation
 from masat.optimality.search import lower_minimum
 from masat.optimality.subgraphs import Surroundings
-from masat.optimality.relaxation import Relaxation
 from masat.study.names import Case
 from masat.study.trial import guess_of, instance
 

@@ -19,7 +19,7 @@ def dense(graph, poses):
     Anchors share one block of unknowns: they are known up to that.
     """
     d, n = graph.dimension, len(graph.ids)
-    held = graph.index(graph.anchors)
+    held = graph.index(graph.gauge)
     known = _core.rotation_matrices(poses[held]).transpose(0, 2, 1).reshape(-1, d)
     free = rows(np.setdiff1d(np.arange(n), held), d)
     basis = np.zeros((n * d, d + len(free)))
@@ -44,7 +44,7 @@ def test_rotations_are_those_of_the_dense_eigenvectors(dimension, seed, noise, f
     )
     guess = spectral(graph, tolerance=1e-8).poses
     expected = dense(graph, guess)
-    held = graph.index(graph.anchors)
+    held = graph.index(graph.gauge)
     rotations = _core.rotation_matrices(guess)
     free = np.setdiff1d(np.arange(20), held)
     assert np.allclose(rotations[free], expected[free], atol=1e-6)

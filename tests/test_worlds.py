@@ -4,7 +4,7 @@ import pytest
 import masat
 from masat import GraphError, PoseGraph, lie
 from masat.initializers import INITIALIZERS
-from masat.optimizers.equations import edge_chi2
+from masat.residuals import chi2_per_edge
 from masat.worlds import WORLDS, city, garage, grid, manhattan, perturb, sphere, torus
 from masat.worlds.closures import on_lattice, within
 
@@ -31,7 +31,7 @@ def test_a_world_is_a_chain_with_closures_and_consistent(name, nodes, edges):
     world = WORLDS[name](nodes, edges, seed=3)
     assert (world.ids == np.arange(nodes)).all()
     assert len(world.edges) == edges
-    assert edge_chi2(world).sum() < 1e-20
+    assert chi2_per_edge(world).sum() < 1e-20
     gap, reach = reach_of(world)
     assert (world.edges[gap == 1, 0] == np.arange(nodes - 1)).all()
     assert (gap >= 1).all()
@@ -69,7 +69,7 @@ def test_a_manhattan_may_be_as_dense_as_manhattan10000():
 def test_a_small_world_has_what_closures_it_offers(name, nodes):
     world = WORLDS[name](nodes)
     assert len(world.ids) == nodes
-    assert edge_chi2(world).sum() < 1e-20
+    assert chi2_per_edge(world).sum() < 1e-20
 
 
 @pytest.mark.parametrize("name", WORLDS)
@@ -182,7 +182,7 @@ def test_near_pairs_are_those_of_a_plain_search(dimension):
 def test_the_truth_of_a_manhattan_is_consistent_and_on_the_grid():
     world = manhattan(600, 1000, extent=12, seed=5)
     assert (len(world.ids), len(world.edges)) == (600, 1000)
-    assert edge_chi2(world).sum() < 1e-25
+    assert chi2_per_edge(world).sum() < 1e-25
     places = world.poses[:, :2]
     assert (places == np.rint(places)).all()
     assert (np.ptp(places, axis=0) <= 12).all()
@@ -288,7 +288,7 @@ def test_spatial_noise_has_the_deviations_asked_for_on_each_axis(sigma):
 def test_the_information_fits_the_noise(name, sigma):
     noisy = perturb(WORLDS[name](), sigma, seed=1)
     count = len(noisy.edges) * noisy.dof
-    assert edge_chi2(noisy).sum() / count == pytest.approx(1, abs=5 * np.sqrt(2 / count))
+    assert chi2_per_edge(noisy).sum() / count == pytest.approx(1, abs=5 * np.sqrt(2 / count))
 
 
 def test_a_spatial_sigma_of_zero_leaves_a_measurement_exact():

@@ -9,6 +9,7 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
+#include "graph/residuals.hpp"
 #include "graph/topology.hpp"
 #include "initializers/placement.hpp"
 #include "initializers/toro.hpp"
@@ -108,6 +109,34 @@ Array<double> toro_placement(const Topology& graph, const Vector<std::int32_t>& 
   });
 }
 
+Array<double> residuals_of(const Topology& graph, const Table<double>& measurements,
+                           const Table<double>& poses) {
+  check_poses(graph, measurements, poses);
+  const std::size_t dof = poses.shape(1) == SE2::kSize ? SE2::kDof : SE3::kDof;
+  std::vector<double> out(measurements.shape(0) * dof);
+  {
+    nb::gil_scoped_release release;
+    with_group(poses.shape(1), [&]<class Group>(Group*) {
+      residuals<Group>(graph, measurements.data(), poses.data(), out.data());
+    });
+  }
+  return as_array(std::move(out), {measurements.shape(0), dof});
+}
+
+Array<double> chi2_of_edges(const Topology& graph, const Table<double>& measurements,
+                            const Stack& information, const Table<double>& poses) {
+  check_poses(graph, measurements, poses);
+  std::vector<double> out(measurements.shape(0));
+  with_group(poses.shape(1), [&]<class Group>(Group*) {
+    require(information.shape(0) == out.size() && information.shape(1) == Group::kDof &&
+                information.shape(2) == Group::kDof,
+            "information must be (m, d, d)");
+    nb::gil_scoped_release release;
+    chi2_per_edge<Group>(graph, measurements.data(), information.data(), poses.data(), out.data());
+  });
+  return as_array(std::move(out));
+}
+
 }  // namespace
 
 void bind_graph(nb::module_& m) {
@@ -119,6 +148,9 @@ void bind_graph(nb::module_& m) {
           },
           "nodes"_a, "edges"_a)
       .def("components", [](const Topology& t) { return as_array(t.components()); });
+  m.def("residuals", &residuals_of, "topology"_a, "measurements"_a, "poses"_a);
+  m.def("chi2_per_edge", &chi2_of_edges, "topology"_a, "measurements"_a, "information"_a,
+        "poses"_a);
   m.def("place_along_tree", &tree_placement, "topology"_a, "roots"_a, "preferred"_a,
         "measurements"_a, "poses"_a);
   m.def("place_by_masat", &masat_placement, "topology"_a, "roots"_a, "measurements"_a, "poses"_a);

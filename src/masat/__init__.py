@@ -1,6 +1,5 @@
 """Pose-graph SLAM without a guess: read, diagnose, initialize, optimize, plot."""
 
-from masat.optimality.certificate import Certificate, certify
 from masat.covariance import covariances, relative_covariances
 from masat.diagnostics import Diagnosis, diagnose
 from masat.errors import (
@@ -15,6 +14,7 @@ from masat.errors import (
 from masat.formats import read, write
 from masat.graph import PoseGraph
 from masat.initializers import initialize
+from masat.optimality.certificate import Certificate, certify
 from masat.optimizers import Iteration, Result, StopReason, optimize
 from masat.plotting import plot
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from masat.arrays import Floats, Ids
 from masat.graph import PoseGraph
-from masat.optimizers.equations import edge_chi2
+from masat.residuals import chi2_per_edge
 
 _WIDE = 1e9
 
@@ -77,8 +77,8 @@ def diagnose(graph: PoseGraph) -> Diagnosis:
     sizes = np.sort(np.bincount(graph.components))[::-1]
     degree = np.bincount(pairs.ravel(), minlength=n)
     spectrum = np.linalg.eigvalsh(graph.information).astype(np.float64)
-    cost = edge_chi2(graph) if graph.poses is not None else None
-    free = n - len(graph.anchors)
+    cost = chi2_per_edge(graph) if graph.poses is not None else None
+    free = n - len(graph.gauge)
     dof = graph.dof * (m - free)
     worst: list[tuple[int, int, float]] = []
     if cost is not None:

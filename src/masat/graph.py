@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from masat import _checks as checks
 from masat import _core, lie
 from masat.arrays import Floats, Ids, Indices
-from masat.structure import eliminate
 from masat.errors import GraphError
+from masat.structure import eliminate
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -174,7 +174,7 @@ class PoseGraph:
             notes=tuple(dict.fromkeys([*self.notes, *notes])),
         )
         # What depends on the edges alone stays valid.
-        for name in ("edge_indices", "topology", "components", "anchors", "elimination"):
+        for name in ("edge_indices", "topology", "components", "gauge", "elimination"):
             if name in self.__dict__:
                 graph.__dict__[name] = self.__dict__[name]
         return graph
@@ -206,7 +206,7 @@ class PoseGraph:
         return checks.frozen(self.topology.components())
 
     @cached_property
-    def anchors(self) -> Ids:
+    def gauge(self) -> Ids:
         """The ids that hold the gauge: `fixed`, and the smallest of each free component."""
         labels = self.components
         # Components are numbered by their smallest ids: each begins where the label first grows.
@@ -219,7 +219,7 @@ class PoseGraph:
     def elimination(self) -> _core.Elimination:
         """In what order the systems of the graph are solved, the anchors held; found once."""
         held = np.zeros(len(self.ids), np.bool_)
-        held[self.index(self.anchors)] = True
+        held[self.index(self.gauge)] = True
         return eliminate(self.topology, held, self.dof)
 
     def _check_fixed(self) -> None:

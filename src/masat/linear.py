@@ -133,6 +133,6 @@ def nearest_rotations(graph: PoseGraph, poses: Floats, unknowns: Floats) -> Floa
     """
     turned = _core.nearest_rotations(np.ascontiguousarray(unknowns.transpose(0, 2, 1)))
     turned[:, : graph.dimension] = poses[:, : graph.dimension]
-    held = graph.index(graph.anchors)
+    held = graph.index(graph.gauge)
     turned[held] = poses[held]
     return turned

@@ -13,7 +13,7 @@ import numpy as np
 from masat.errors import GraphError
 from masat.files import write_atomically
 from masat.graph import PoseGraph
-from masat.optimizers.equations import edge_chi2
+from masat.residuals import chi2_per_edge
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -86,7 +86,7 @@ def _error_colors(panels: Mapping[str, PoseGraph]) -> Any:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LogNorm
 
-    costs = np.concatenate([edge_chi2(graph) for graph in panels.values()])
+    costs = np.concatenate([chi2_per_edge(graph) for graph in panels.values()])
     positive = costs[costs > 0]
     high = float(np.quantile(positive, 0.999)) if len(positive) else 1.0
     return ScalarMappable(LogNorm(max(high, 1e-300) * 1e-4, max(high, 1e-300)), "viridis")
@@ -111,7 +111,7 @@ def _draw(ax: Any, graph: PoseGraph, color: Any) -> None:
         add(~consecutive, 0.4, 0.5 if len(ends) < 30000 else 0.25, colors=_LOOPS)
         add(consecutive, 0.8, 1.0, colors=_TRAJECTORY)
     else:
-        cost = np.maximum(edge_chi2(graph), color.norm.vmin)
+        cost = np.maximum(chi2_per_edge(graph), color.norm.vmin)
         for chosen, width in ((~consecutive, 0.4), (consecutive, 0.9)):
             add(chosen, width, 1.0, array=cost[chosen], cmap=color.cmap, norm=color.norm)
     low, high = places.min(axis=0), places.max(axis=0)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
-from masat.optimality.certificate import Certificate
-from masat.optimality.certificate import certify as certified
 from masat.cli import EXIT_NOT_CONVERGED, options, show
 from masat.formats import write
+from masat.optimality.certificate import Certificate
+from masat.optimality.certificate import certify as certified
 
 
 @click.command(

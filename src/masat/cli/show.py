@@ -79,7 +79,7 @@ def summary(result: Result) -> dict[str, Any]:
         "chi2": result.chi2,
         "degrees_of_freedom": result.degrees_of_freedom,
         "reduced_chi2": result.reduced_chi2,
-        "anchors": result.anchors.tolist(),
+        "gauge": result.gauge.tolist(),
         "seconds": result.seconds,
         "history": [iteration._asdict() for iteration in result.history],
     }

@@ -8,10 +8,10 @@ from typing import Any
 
 import click
 
-from masat.optimality.certificate import Certificate, certify
 from masat.cli import EXIT_NOT_CONVERGED, options, show
 from masat.formats import write
 from masat.initializers import initialize
+from masat.optimality.certificate import Certificate, certify
 from masat.optimizers import Result, optimize
 
 _NAMES = {True: "cost", False: "chordal cost"}
@@ -116,7 +116,7 @@ def _tell(
     written: list[Path],
 ) -> None:
     graph = result.graph
-    shown = ", ".join(map(str, result.anchors[:5])) + (", ..." if len(result.anchors) > 5 else "")
+    shown = ", ".join(map(str, result.gauge[:5])) + (", ..." if len(result.gauge) > 5 else "")
     rows = [
         ("graph", f"{graph.dimension}D, {len(graph.ids)} nodes, {len(graph.edges)} edges"),
         ("start", f"{init}, chi2 {result.initial_chi2:.6g}"),

@@ -14,10 +14,10 @@ from masat.initializers.given import given
 from masat.initializers.lago import lago
 from masat.initializers.lifted import lifted
 from masat.initializers.masat import masat
+from masat.initializers.most_informed_first import most_informed_first
 from masat.initializers.odometry import odometry
 from masat.initializers.spanning_tree import spanning_tree
 from masat.initializers.spectral import spectral
-from masat.initializers.most_informed_first import most_informed_first
 from masat.initializers.toro import toro
 
 

@@ -20,7 +20,7 @@ def chordal(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     """
     poses, notes = anchored(graph)
     form = linear.rotation_form(graph, linear.rotation_weights(graph))
-    d, held = graph.dimension, graph.index(graph.anchors)
+    d, held = graph.dimension, graph.index(graph.gauge)
     # In 2D the second column is the first, turned: so is all that the system makes of it.
     columns = np.zeros((len(poses), d, 1 if d == 2 else d))
     columns[held] = linear.rotations(poses[held])[:, :, : columns.shape[2]]

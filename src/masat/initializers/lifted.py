@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from masat.optimality import relaxation
 from masat.arrays import Floats
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
 from masat.initializers.roots import rooted
+from masat.optimality import relaxation
 from masat.optimality.lifting import lift
 from masat.optimality.search import LOWER, NEAR, lower_minimum
 from masat.optimizers import optimize

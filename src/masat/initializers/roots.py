@@ -16,7 +16,7 @@ def roots_of(graph: PoseGraph, root: int | None) -> tuple[Indices, Floats, list[
     A component begins at its fixed nodes, at their poses; without such, at `root` if that lies in
     it, or else at its smallest id. A root whose pose nobody fixed lies at the identity.
     """
-    anchors = graph.anchors
+    anchors = graph.gauge
     if root is not None:
         place = graph.index(root)
         components = graph.components

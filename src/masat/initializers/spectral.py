@@ -76,7 +76,7 @@ class _Laplacian:
     def __init__(self, graph: PoseGraph, known: Floats) -> None:
         self._graph = graph
         self._known = known
-        self._anchors = graph.index(graph.anchors)
+        self._anchors = graph.index(graph.gauge)
         labels = graph.components[self._anchors]
         self.leads = self._anchors[np.unique(labels, return_index=True)[1]]
         self._lead = self.leads[labels]

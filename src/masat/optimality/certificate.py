@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from masat.optimality import relaxation
 from masat.arrays import Floats
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
+from masat.optimality import relaxation
 from masat.optimality.search import lower_minimum
 from masat.optimizers import optimize
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from masat import linear
 from masat.arrays import Floats
 from masat.graph import PoseGraph
 from masat.optimality.relaxation import Relaxation
@@ -35,6 +34,6 @@ def lift(graph: PoseGraph, *, seed: int = 0) -> Floats:
     x = relaxed.unknowns(graph.poses, graph.dimension)
     top = relaxed.minimize_lifted(x, decrease=_DECREASE, seed=seed)
     poses = relaxed.poses(top.unknowns)
-    held = graph.index(graph.anchors)
+    held = graph.index(graph.gauge)
     poses[held] = graph.poses[held]
     return solve_translations(graph, poses)

@@ -71,7 +71,7 @@ class Relaxation:
         self.graph = graph
         self.weights = linear.isotropic_weights(graph)
         self._free = graph.elimination.free_nodes()
-        self._held = graph.index(graph.anchors)
+        self._held = graph.index(graph.gauge)
         self._matrix = _core.GraphMatrix(graph.elimination, graph.dimension + 1)
         self._scale = float(np.median(self.weights.rotation)) if len(graph.edges) else 1.0
 
@@ -280,7 +280,7 @@ def solve(
             best = rounded
             bound = max(bound, best.cost - relaxed.gap(best))
     solved = relaxed.poses(best.unknowns)
-    held = graph.index(graph.anchors)
+    held = graph.index(graph.gauge)
     solved[held] = poses[held]
     # Rounding errors may lift the bound above the cost.
     bound = min(max(bound, 0.0), best.cost)

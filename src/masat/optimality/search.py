@@ -7,17 +7,17 @@ from functools import partial
 
 import numpy as np
 
-from masat import lie, linear
-from masat.optimality import cycles
+from masat import lie
 from masat.arrays import Flags, Floats
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
+from masat.optimality import cycles
 from masat.optimality.lifting import lift
-from masat.optimizers import Iteration, Result, optimize
-from masat.optimizers.equations import edge_chi2
-from masat.optimality.subgraphs import Region, Surroundings
 from masat.optimality.relaxation import Relaxation
+from masat.optimality.subgraphs import Region, Surroundings
+from masat.optimizers import Iteration, Result, optimize
 from masat.optimizers.translations import solve_translations
+from masat.residuals import chi2_per_edge
 
 # chi2 this much lower, relatively, is another minimum; near one its changes are below the second.
 LOWER, NEAR = 1e-7, 1e-8
@@ -96,7 +96,7 @@ class _Search:
         self._surroundings = Surroundings(graph)
         self._refused: dict[int, float] = {}
         self._left = max(_LOOPS, _WORK // len(graph.ids))
-        anchors = graph.index(graph.anchors)
+        anchors = graph.index(graph.gauge)
         labels = graph.components
         held = np.bincount(labels[anchors], minlength=int(labels.max()) + 1)
         # What holds only the gauge may turn with the rest, and is put back afterwards.
@@ -117,7 +117,7 @@ class _Search:
         edges = np.zeros_like(places)
         edges[self._graph.edge_indices[self._loops.weak_edges(self.poses)]] = True
         nodes = around(places, _REACH) | around(edges, _WEAK_REACH)
-        nodes[self._graph.index(self._graph.anchors)] = False
+        nodes[self._graph.index(self._graph.gauge)] = False
         return sum(self._try(part, self._lift) for part in self._surroundings.parts(nodes)) > 0
 
     def at_weak_loops(self) -> bool:
@@ -177,7 +177,7 @@ class _Search:
             "dogleg",
             max_iterations=30,
             absolute_tolerance=nearly / 500,
-            report=_Hope(float(edge_chi2(part).sum()) + nearly),
+            report=_Hope(float(chi2_per_edge(part).sum()) + nearly),
         )
 
     def _try(self, nodes: Flags, trial: Trial) -> bool:
@@ -199,7 +199,7 @@ class _Search:
         if np.abs(lie.local(before[places], poses[places])).max() < _STRAIGHT:
             return False
         self._put_back(poses, nodes)
-        chi2 = self.chi2 + result.chi2 - float(edge_chi2(region.graph).sum())
+        chi2 = self.chi2 + result.chi2 - float(chi2_per_edge(region.graph).sum())
         lower = self.chi2 * (1 - LOWER)
         if lower <= chi2 < self.chi2 + _NEARLY * self._unit:
             # Nearly as low: with all nodes free it may be lower.

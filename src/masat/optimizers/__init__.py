@@ -94,7 +94,7 @@ def optimize(
     if threads < 1:
         raise OptimizationError(f"at least one thread must work, got {threads}")
     start = perf_counter()
-    anchors = graph.anchors
+    anchors = graph.gauge
     equations = normal_equations(graph, threads)
     initial = equations.chi2(graph.poses)
     history: list[Iteration] = []
@@ -127,7 +127,7 @@ def optimize(
         initial_chi2=initial,
         chi2=outcome.chi2,
         history=tuple(history),
-        anchors=anchors,
+        gauge=anchors,
         seconds=perf_counter() - start,
     )
 

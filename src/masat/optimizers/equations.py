@@ -8,8 +8,6 @@ import numpy as np
 
 from masat import _core
 from masat.arrays import Floats
-from masat.structure import eliminate
-from masat.errors import OptimizationError
 from masat.graph import PoseGraph
 
 _EPSILON = float(np.finfo(np.float64).eps)
@@ -51,17 +49,6 @@ def normal_equations(graph: PoseGraph, threads: int = 1) -> _core.NormalEquation
     return _core.NormalEquations(
         graph.topology, graph.elimination, graph.measurements, graph.information, threads
     )
-
-
-def edge_chi2(graph: PoseGraph) -> Floats:
-    """Return e' W e of each edge at the poses of the graph, (m,)."""
-    if graph.poses is None:
-        raise OptimizationError("the graph has no poses: give it some with masat.initialize")
-    nothing = eliminate(graph.topology, np.ones(len(graph.ids), np.bool_), graph.dof)
-    equations = _core.NormalEquations(
-        graph.topology, nothing, graph.measurements, graph.information
-    )
-    return equations.edge_chi2(graph.poses)
 
 
 def rounding_level(graph: PoseGraph) -> float:

@@ -38,7 +38,7 @@ class Result:
         Sum over the edges of e' W e, without a factor 1/2, at the start and at `poses`.
     history : tuple of Iteration
         chi2, step length, damping and time of each iteration.
-    anchors : ndarray of int64
+    gauge : ndarray of int64
         Ids of the nodes that held still: the fixed ones, and one of each free component.
     seconds : float
         Wall time, the analysis of the graph included.
@@ -51,7 +51,7 @@ class Result:
     initial_chi2: float
     chi2: float
     history: tuple[Iteration, ...]
-    anchors: Ids
+    gauge: Ids
     seconds: float
 
     @property
@@ -73,7 +73,7 @@ class Result:
     @property
     def degrees_of_freedom(self) -> int:
         """Measured numbers less unknown ones."""
-        unknown = len(self.graph.ids) - len(self.anchors)
+        unknown = len(self.graph.ids) - len(self.gauge)
         return self.graph.dof * (len(self.graph.edges) - unknown)
 
     @property
@@ -114,7 +114,7 @@ class Result:
             information=graph.information,
             fixed=graph.fixed,
             history=np.array(self.history, np.float64).reshape(-1, len(Iteration._fields)),
-            anchors=self.anchors,
+            gauge=self.gauge,
         )
         write_atomically(Path(path), buffer.getvalue())
 
@@ -150,7 +150,7 @@ class Result:
                     initial_chi2=about["initial_chi2"],
                     chi2=about["chi2"],
                     history=tuple(Iteration(*row) for row in arrays["history"].tolist()),
-                    anchors=arrays["anchors"],
+                    gauge=arrays["gauge"],
                     seconds=about["seconds"],
                 )
         except FormatError:

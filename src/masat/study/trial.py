@@ -116,7 +116,7 @@ def run_case(case: Case, starts: tuple[str, ...], max_iterations: int) -> list[T
 def _run(case: Case, graph: PoseGraph, start: str, max_iterations: int) -> Trial:
     try:
         # What depends on the edges alone is built once a graph, not once a start.
-        _ = graph.topology, graph.anchors
+        _ = graph.topology, graph.gauge
         begin = perf_counter()
         guess = guess_of(graph, start)
         guessed = perf_counter()
