@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import masat
 from benchmarks.data import DATA
+from masat.structure import Structure
 
 
 @dataclass(frozen=True)
@@ -74,3 +75,8 @@ CASES = {
         Case("cubicle", "3d/cubicle.g2o", 8.750614187),
     )
 }
+
+
+def unused(graph: masat.PoseGraph) -> masat.PoseGraph:
+    """Return a copy that has computed nothing yet, as if it had just been read."""
+    return replace(graph, structure=Structure(graph.ids, graph.edges, graph.fixed, graph.dof))

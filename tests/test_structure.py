@@ -1,13 +1,16 @@
 import sys
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import masat
-from masat import PoseGraph
+from masat import GraphError, PoseGraph
 from masat._core import Elimination, NormalEquations
-from masat.structure import eliminate, nested_dissection
+from masat.structure import Structure, eliminate, nested_dissection
 from masat.worlds import sphere
 
 NO_ORDER = np.empty(0, np.int32)
@@ -18,7 +21,7 @@ def chain(nodes):
     return PoseGraph.from_arrays(edges, [(1, 0, 0)] * (nodes - 1))
 
 
-def held(graph):
+def first_in_gauge(graph):
     out = np.zeros(len(graph.ids), bool)
     out[0] = True
     return out
@@ -58,8 +61,8 @@ def ball():
 
 def test_much_work_is_dissected(ball):
     pytest.importorskip("pymetis")
-    by_degree = Elimination(ball.topology, held(ball), NO_ORDER)
-    dissected = Elimination(ball.topology, held(ball), nested_dissection(by_degree))
+    by_degree = Elimination(ball.topology, first_in_gauge(ball), NO_ORDER)
+    dissected = Elimination(ball.topology, first_in_gauge(ball), nested_dissection(by_degree))
     assert dissected.operations(6) < 0.8 * by_degree.operations(6)
     assert ball.elimination.operations(6) == dissected.operations(6)
     solved = []
@@ -73,11 +76,115 @@ def test_much_work_is_dissected(ball):
 
 def test_little_work_is_not_dissected(monkeypatch):
     monkeypatch.setattr("masat.structure.nested_dissection", lambda _: pytest.fail("dissected"))
-    assert eliminate(chain(100).topology, held(chain(100)), 3).fill(3) > 0
+    assert eliminate(chain(100).topology, first_in_gauge(chain(100)), 3).fill(3) > 0
 
 
-def test_without_the_library_minimum_degree_stands(ball, monkeypatch):
+def test_without_the_library_minimum_degree_is_used(ball, monkeypatch):
     monkeypatch.setitem(sys.modules, "pymetis", None)
-    order = eliminate(ball.topology, held(ball), 6)
-    by_degree = Elimination(ball.topology, held(ball), NO_ORDER)
+    order = eliminate(ball.topology, first_in_gauge(ball), 6)
+    by_degree = Elimination(ball.topology, first_in_gauge(ball), NO_ORDER)
     assert order.operations(6) == by_degree.operations(6)
+
+
+PARTS = [[5, 9], [9, 2], [7, 4], [3, 8]]
+"""Components 2, 5, 9 and 3, 8 and 4, 7."""
+
+
+def parts(**more):
+    return PoseGraph.from_arrays(PARTS, [[1, 0, 0]] * len(PARTS), **more)
+
+
+def test_graphs_that_differ_in_poses_alone_share_one_structure():
+    graph = parts()
+    moved = graph.with_poses(np.zeros((7, 3)), notes=["moved"])
+    without = replace(moved, poses=None)
+    assert moved.structure is without.structure is graph.structure
+    # Shared whichever graph asks first.
+    assert moved.elimination is graph.elimination
+    assert graph.topology is moved.topology
+    assert graph.components is without.components
+
+
+def test_a_replaced_array_that_the_structure_depends_on_gets_a_new_structure():
+    graph = parts()
+    assert graph.gauge.tolist() == [2, 3, 4]
+    reversed_edges = replace(graph, edges=graph.edges[:, ::-1].copy())
+    assert reversed_edges.edge_indices.tolist() == graph.edge_indices[:, ::-1].tolist()
+    fixed = replace(graph, fixed=np.array([9]))
+    assert fixed.gauge.tolist() == [3, 4, 9]
+    assert graph.gauge.tolist() == [2, 3, 4]
+
+
+def test_the_free_nodes_are_those_outside_the_gauge():
+    structure = parts(fixed=[9]).structure
+    assert structure.gauge.tolist() == [3, 4, 9]
+    assert structure.free.tolist() == [0, 3, 4, 5]
+    assert structure.elimination.free_nodes().tolist() == [0, 3, 4, 5]
+
+
+def test_a_root_is_the_gauge_fixed_node_of_its_component():
+    graph = parts()
+    rooted = graph.with_root(9)
+    assert rooted.gauge.tolist() == [3, 4, 9]
+    assert graph.gauge.tolist() == [2, 3, 4]
+    assert rooted.elimination.free_nodes().tolist() == [0, 3, 4, 5]
+    assert graph.elimination.free_nodes().tolist() == [3, 4, 5, 6]
+    # The connectivity is that of the graph before.
+    assert rooted.topology is graph.topology
+    assert rooted.components is graph.components
+    assert rooted.with_poses(np.zeros((7, 3))).gauge.tolist() == [3, 4, 9]
+
+
+def test_a_second_root_replaces_that_of_its_component_alone():
+    graph = parts().with_root(9).with_root(7).with_root(5)
+    assert graph.gauge.tolist() == [3, 5, 7]
+    assert parts().with_root([7, 5]).gauge.tolist() == [3, 5, 7]
+
+
+def test_a_fixed_root_changes_nothing():
+    graph = parts(fixed=[9])
+    assert graph.with_root(9).gauge.tolist() == graph.gauge.tolist() == [3, 4, 9]
+
+
+@pytest.mark.parametrize(
+    ("root", "message"),
+    [
+        (5, "the root 5 is not fixed but its component holds fixed nodes, which keep their poses"),
+        (6, "the graph has no node 6"),
+        ([3, 8], "the roots 3 and 8 are in one component"),
+        ("a", "roots must be integers"),
+    ],
+)
+def test_a_root_that_cannot_be_one_is_refused(root, message):
+    with pytest.raises(GraphError, match=message):
+        parts(fixed=[9]).with_root(root)
+
+
+@given(st.sets(st.integers(0, 9)), st.sets(st.integers(0, 9)), st.data())
+def test_each_component_has_its_fixed_nodes_or_one_other_in_the_gauge(cuts, fixed, data):
+    edges = [(k, k + 1) for k in range(9) if k not in cuts]
+    graph = PoseGraph.from_arrays(
+        edges, [[1, 0, 0]] * len(edges), ids=range(10), poses=np.zeros((10, 3)), fixed=fixed
+    )
+    roots = []
+    for label in range(graph.components.max() + 1):
+        members = np.flatnonzero(graph.components == label)
+        allowed = sorted(fixed & set(members.tolist())) or members.tolist()
+        root = data.draw(st.none() | st.sampled_from(allowed))
+        if root is not None:
+            graph = graph.with_root(root)
+        chosen = root if root is not None else members[0]
+        expected = sorted(fixed & set(members.tolist())) or [chosen]
+        roots += expected
+    assert graph.gauge.tolist() == sorted(roots)
+    free = [k for k in range(10) if k not in roots]
+    assert graph.structure.free.tolist() == free
+    assert graph.elimination.free_nodes().tolist() == free
+
+
+def test_a_structure_alone_holds_all_that_follows_from_the_edges():
+    graph = parts(fixed=[9])
+    alone = Structure(graph.ids, graph.edges, graph.fixed, graph.dof)
+    assert alone.edge_indices.tolist() == graph.edge_indices.tolist()
+    assert alone.gauge.tolist() == graph.gauge.tolist()
+    assert alone.index([9, 2]).tolist() == [6, 0]

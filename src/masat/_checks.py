@@ -5,18 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from masat.arrays import AnyArray, Floats, Ids
+from masat.arrays import Floats, Ids
 from masat.errors import GraphError, InformationError
 from masat.information import indefinite
 
 # Printed quaternions are off unit length by their rounding; a norm further off is no rotation.
 _QUATERNION_TOLERANCE = 1e-2
 _UNIT_TO_ROUNDING = 1e-14
-
-
-def frozen(a: AnyArray) -> AnyArray:
-    a.flags.writeable = False
-    return a
 
 
 def matrix(name: str, values: ArrayLike) -> Floats:

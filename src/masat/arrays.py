@@ -1,8 +1,11 @@
-"""The element types of the package's arrays; shapes stand in the docstrings."""
+"""The element types of the package's arrays, and arrays that stay read-only.
+
+The docstrings of the functions tell the shapes.
+"""
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,3 +15,16 @@ Floats: TypeAlias = NDArray[np.float64]
 Ids: TypeAlias = NDArray[np.int64]
 Indices: TypeAlias = NDArray[np.int32]
 Flags: TypeAlias = NDArray[np.bool_]
+
+_Scalar = TypeVar("_Scalar", bound=np.generic)
+
+
+def locked(a: NDArray[_Scalar]) -> NDArray[_Scalar]:
+    """Return a read-only array of the same memory that `flags.writeable = True` cannot unlock.
+
+    An array that owns its memory can always be made writable. A view of a read-only buffer cannot.
+    """
+    a = np.asarray(a)  # also turns a memory map into a plain array
+    if not a.flags.writeable and not a.flags.owndata:
+        return a
+    return np.asarray(a.data.toreadonly())

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from masat import _checks as checks
 from masat import _core, lie
-from masat.arrays import Floats, Ids, Indices
+from masat.arrays import Floats, Ids, Indices, locked
 from masat.errors import GraphError
-from masat.structure import eliminate
+from masat.structure import Structure
+
+# The fields that the structure depends on, and also holds.
+_OF_STRUCTURE = ("ids", "edges", "fixed")
+# Typed so that the field `structure` need not be optional: `__post_init__` fills it in.
+_NOT_MADE: Any = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,6 +55,30 @@ class PoseGraph:
     information: Floats
     fixed: Ids
     notes: tuple[str, ...] = field(default=())
+    structure: Structure = field(default=_NOT_MADE, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        structure = self.structure
+        # A copy by `dataclasses.replace` shares the structure unless what it depends on changed.
+        if structure is None or any(
+            getattr(structure, name) is not getattr(self, name) for name in _OF_STRUCTURE
+        ):
+            structure = Structure(self.ids, self.edges, self.fixed, self.dof)
+        self.__dict__.update(
+            {name: getattr(structure, name) for name in _OF_STRUCTURE},
+            structure=structure,
+            poses=None if self.poses is None else locked(self.poses),
+            measurements=locked(self.measurements),
+            information=locked(self.information),
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _OF_STRUCTURE}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        structure = state["structure"]
+        self.__dict__.update(state, **{name: getattr(structure, name) for name in _OF_STRUCTURE})
+        self.__post_init__()
 
     @classmethod
     def from_arrays(
@@ -132,12 +161,12 @@ class PoseGraph:
             raise GraphError(f"the fixed node {node} is not in the graph")
         matrices = checks.information_matrices(information, pairs, lie.DOF[dimension])
         graph = cls(
-            ids=checks.frozen(nodes),
-            poses=None if given is None else checks.frozen(given),
-            edges=checks.frozen(pairs),
-            measurements=checks.frozen(z),
-            information=checks.frozen(matrices),
-            fixed=checks.frozen(held),
+            ids=nodes,
+            poses=given,
+            edges=pairs,
+            measurements=z,
+            information=matrices,
+            fixed=held,
             notes=tuple(notes),
         )
         graph._check_fixed()
@@ -168,59 +197,63 @@ class PoseGraph:
         given = checks.matrix("poses", poses)
         if given.shape != (len(self.ids), lie.POSE_SIZE[self.dimension]):
             raise GraphError(f"poses of shape {given.shape} do not fit {self!r}")
-        graph = replace(
+        return replace(
             self,
-            poses=checks.frozen(checks.rotations(given, "pose of node", self.ids, "node")),
+            poses=checks.rotations(given, "pose of node", self.ids, "node"),
             notes=tuple(dict.fromkeys([*self.notes, *notes])),
         )
-        # What depends on the edges alone stays valid.
-        for name in ("edge_indices", "topology", "components", "gauge", "elimination"):
-            if name in self.__dict__:
-                graph.__dict__[name] = self.__dict__[name]
-        return graph
+
+    def with_root(self, root: ArrayLike) -> PoseGraph:
+        """Return the graph with `root` as the gauge-fixed node of its component.
+
+        Without this, the gauge-fixed node of a component without fixed nodes is its smallest id.
+
+        Parameters
+        ----------
+        root : int or array_like of int
+            The id of a node; or several, each in a component of its own. A fixed node is accepted
+            and changes nothing.
+
+        Raises
+        ------
+        GraphError
+            If the graph has no such node, or if the node is not fixed but its component has fixed
+            nodes.
+        """
+        return replace(self, structure=self.structure.with_roots(root))
 
     def index(self, ids: ArrayLike) -> Ids:
-        """Return the places of node ids, of any shape, in `ids`; unknown ones are a GraphError."""
-        wanted = checks.integers("ids", ids)
-        places = np.searchsorted(self.ids, wanted).clip(max=len(self.ids) - 1)
-        unknown = wanted[self.ids[places] != wanted]
-        if unknown.size:
-            raise GraphError(f"the graph has no node {unknown.flat[0]}")
-        return places.astype(np.int64)
+        """Return the indices in `ids` of node ids of any shape; an unknown id is a GraphError."""
+        return self.structure.index(ids)
 
-    @cached_property
+    @property
     def edge_indices(self) -> Indices:
-        """Places in `ids` of the nodes that each edge joins, (m, 2)."""
-        if checks.without_gaps(self.ids):
-            return checks.frozen((self.edges - self.ids[0]).astype(np.int32))
-        return checks.frozen(np.searchsorted(self.ids, self.edges).astype(np.int32))
+        """Indices in `ids` of the nodes that each edge joins, (m, 2)."""
+        return self.structure.edge_indices
 
-    @cached_property
+    @property
     def topology(self) -> _core.Topology:
-        """The adjacency, as flat arrays in the core; built on first use."""
-        return _core.Topology(len(self.ids), np.ascontiguousarray(self.edge_indices))
+        """The adjacency, as flat arrays in the core."""
+        return self.structure.topology
 
-    @cached_property
+    @property
     def components(self) -> Indices:
-        """Connected component of each node, (n,), numbered by their smallest ids."""
-        return checks.frozen(self.topology.components())
+        """Connected component of each node, (n,), numbered in the order of their smallest ids."""
+        return self.structure.components
 
-    @cached_property
+    @property
     def gauge(self) -> Ids:
-        """The ids that hold the gauge: `fixed`, and the smallest of each free component."""
-        labels = self.components
-        # Components are numbered by their smallest ids: each begins where the label first grows.
-        first = np.flatnonzero(np.diff(np.maximum.accumulate(labels), prepend=-1))
-        held = labels[self.index(self.fixed)]
-        free = self.ids[np.delete(first, held)]
-        return checks.frozen(np.sort(np.concatenate([self.fixed, free])))
+        """Ids of the nodes that are not optimized, ascending.
 
-    @cached_property
+        They are the fixed nodes and, in each component without any, one gauge-fixed node: the
+        root chosen by `with_root`, or else the smallest id.
+        """
+        return self.structure.gauge
+
+    @property
     def elimination(self) -> _core.Elimination:
-        """In what order the systems of the graph are solved, the anchors held; found once."""
-        held = np.zeros(len(self.ids), np.bool_)
-        held[self.index(self.gauge)] = True
-        return eliminate(self.topology, held, self.dof)
+        """The order in which the optimized nodes are eliminated from the linear systems."""
+        return self.structure.elimination
 
     def _check_fixed(self) -> None:
         if self.poses is not None or len(self.fixed) < 2:

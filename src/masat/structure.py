@@ -1,37 +1,186 @@
-"""The order in which the nodes of a graph are eliminated from its sparse systems."""
+"""What follows from the ids, edges and fixed nodes of a graph, at whatever poses."""
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
+from numpy.typing import ArrayLike
 
+from masat import _checks as checks
 from masat import _core
-from masat.arrays import Flags, Indices
+from masat.arrays import Flags, Ids, Indices, locked
+from masat.errors import GraphError
 
-# Operations a node, of one factorization by minimum degree, above which nested dissection pays:
-# it takes some 4 us a node, and saves up to half of each of the few factorizations of a solve.
-_WORTH_DISSECTING = 3e5
+# Nested dissection takes about 4 us a node and saves up to half of each factorization. It pays off
+# in the few factorizations of a solve above this many operations a node by minimum degree.
+_MIN_DISSECTED_OPERATIONS = 3e5
 
 
-def eliminate(topology: _core.Topology, held: Flags, block_size: int) -> _core.Elimination:
-    """Return the cheaper order of those known, by the counted operations of a factorization.
+class Structure:
+    """The connectivity of a graph, and the order in which its linear systems are solved.
 
-    Minimum degree (Amestoy, Davis, Duff, An approximate minimum degree ordering algorithm, 1996);
-    where that leaves much work, also nested dissection (Karypis and Kumar, A fast and high quality
-    multilevel scheme for partitioning irregular graphs, 1998), if the package pymetis is there.
+    It depends on the ids, the edges and the fixed nodes alone, so all graphs that differ in their
+    poses or measurements share one. Each property is computed on first use and then kept. Pickles
+    hold only the arrays below; the properties are computed again on first use.
+
+    Parameters
+    ----------
+    ids : ndarray of int64, (n,)
+        Node ids, ascending.
+    edges : ndarray of int64, (m, 2)
+        Node ids (from, to) of each edge.
+    fixed : ndarray of int64
+        Ids of the fixed nodes, ascending.
+    dof : int
+        Degrees of freedom of a pose: 3 or 6.
+    roots : ndarray of int64, optional
+        Ids that are chosen as gauge-fixed nodes of their components.
     """
-    by_degree = _core.Elimination(topology, held, np.empty(0, np.int32))
+
+    def __init__(
+        self, ids: Ids, edges: Ids, fixed: Ids, dof: int, roots: Ids | None = None
+    ) -> None:
+        self.ids = locked(ids)
+        self.edges = locked(edges)
+        self.fixed = locked(fixed)
+        self.dof = dof
+        self.roots = locked(np.empty(0, np.int64) if roots is None else roots)
+
+    def __reduce__(self) -> tuple[type[Structure], tuple[Ids, Ids, Ids, int, Ids]]:
+        return Structure, (self.ids, self.edges, self.fixed, self.dof, self.roots)
+
+    def index(self, ids: ArrayLike) -> Ids:
+        """Return the indices of node ids, of any shape, in `ids`; unknown ones: GraphError."""
+        wanted = checks.integers("ids", ids)
+        indices = np.searchsorted(self.ids, wanted).clip(max=len(self.ids) - 1)
+        unknown = wanted[self.ids[indices] != wanted]
+        if unknown.size:
+            raise GraphError(f"the graph has no node {unknown.flat[0]}")
+        return indices.astype(np.int64)
+
+    @cached_property
+    def edge_indices(self) -> Indices:
+        """Indices in `ids` of the nodes that each edge joins, (m, 2)."""
+        if checks.without_gaps(self.ids):
+            return locked((self.edges - self.ids[0]).astype(np.int32))
+        return locked(np.searchsorted(self.ids, self.edges).astype(np.int32))
+
+    @cached_property
+    def topology(self) -> _core.Topology:
+        """The adjacency, as flat arrays in the core."""
+        return _core.Topology(len(self.ids), np.ascontiguousarray(self.edge_indices))
+
+    @cached_property
+    def components(self) -> Indices:
+        """Connected component of each node, (n,), numbered in the order of their smallest ids."""
+        return locked(self.topology.components())
+
+    @cached_property
+    def gauge(self) -> Ids:
+        """Ids of the nodes that are not optimized, ascending.
+
+        They are the fixed nodes and, in each component without any, one gauge-fixed node: the
+        chosen root, or else the smallest id.
+        """
+        labels = self.components
+        # Components are numbered by their smallest ids: each begins where the label first grows.
+        gauge_fixed = np.flatnonzero(np.diff(np.maximum.accumulate(labels), prepend=-1))
+        # In descending order, so that of several roots of one component the smallest id remains.
+        roots = np.sort(self.index(self.roots))[::-1]
+        gauge_fixed[labels[roots]] = roots
+        gauge_fixed = np.delete(gauge_fixed, labels[self.index(self.fixed)])
+        return locked(np.sort(np.concatenate([self.fixed, self.ids[gauge_fixed]])))
+
+    @cached_property
+    def free(self) -> Indices:
+        """Indices of the nodes that are optimized, ascending."""
+        return locked(np.flatnonzero(~self._in_gauge()).astype(np.int32))
+
+    @cached_property
+    def elimination(self) -> _core.Elimination:
+        """The order in which the free nodes are eliminated from the linear systems."""
+        return eliminate(self.topology, self._in_gauge(), self.dof)
+
+    def with_roots(self, roots: ArrayLike) -> Structure:
+        """Return the structure with other gauge-fixed nodes, the connectivity shared.
+
+        Raises
+        ------
+        GraphError
+            If a root is not in the graph, if two are in one component, or if a root is not fixed
+            but its component has fixed nodes.
+        """
+        chosen = checks.distinct(checks.integers("roots", roots))
+        component = self.components[self.index(chosen)]
+        with_fixed = np.isin(component, self.components[self.index(self.fixed)])
+        for root in chosen[with_fixed & ~np.isin(chosen, self.fixed)][:1]:
+            raise GraphError(
+                f"the root {root} is not fixed but its component holds fixed nodes, which "
+                "keep their poses: leave the root out, or name one of them"
+            )
+        chosen, component = chosen[~with_fixed], component[~with_fixed]
+        order = np.argsort(component, kind="stable")
+        for k in np.flatnonzero(np.diff(component[order]) == 0)[:1]:
+            a, b = chosen[order[k : k + 2]]
+            raise GraphError(f"the roots {a} and {b} are in one component: choose one of them")
+        others = ~np.isin(self.components[self.index(self.roots)], component)
+        out = Structure(
+            self.ids,
+            self.edges,
+            self.fixed,
+            self.dof,
+            np.sort(np.concatenate([self.roots[others], chosen])),
+        )
+        out._share_connectivity(self)
+        return out
+
+    def _share_connectivity(self, other: Structure) -> None:
+        """Take over what `other` has computed; it must have the same edge indices."""
+        for name in ("edge_indices", "topology", "components"):
+            if name in other.__dict__:
+                self.__dict__[name] = other.__dict__[name]
+
+    def _in_gauge(self) -> Flags:
+        out = np.zeros(len(self.ids), np.bool_)
+        out[self.index(self.gauge)] = True
+        return out
+
+
+def eliminate(topology: _core.Topology, in_gauge: Flags, block_size: int) -> _core.Elimination:
+    """Return the elimination order with the fewest operations a factorization.
+
+    The candidates are minimum degree (Amestoy, Davis, Duff, An approximate minimum degree ordering
+    algorithm, 1996) and, where that leaves much work and the package pymetis is installed, nested
+    dissection (Karypis and Kumar, A fast and high quality multilevel scheme for partitioning
+    irregular graphs, 1998).
+
+    Parameters
+    ----------
+    topology : Topology
+        The adjacency of n nodes.
+    in_gauge : ndarray of bool, (n,)
+        Which nodes are not optimized.
+    block_size : int
+        Unknowns of each node.
+
+    Returns
+    -------
+    Elimination
+    """
+    by_degree = _core.Elimination(topology, in_gauge, np.empty(0, np.int32))
     work = by_degree.operations(block_size)
-    if work <= _WORTH_DISSECTING * np.count_nonzero(~held):
+    if work <= _MIN_DISSECTED_OPERATIONS * np.count_nonzero(~in_gauge):
         return by_degree
     order = nested_dissection(by_degree)
     if order is None:
         return by_degree
-    dissected = _core.Elimination(topology, held, order)
+    dissected = _core.Elimination(topology, in_gauge, order)
     return dissected if dissected.operations(block_size) < work else by_degree
 
 
 def nested_dissection(elimination: _core.Elimination) -> Indices | None:
-    """Return the place of the free node to eliminate k-th, by METIS; None without pymetis."""
+    """Return the order of METIS, as indices into the free nodes; None without pymetis."""
     try:
         import pymetis
     except ImportError:
