@@ -1,4 +1,12 @@
-"""Pose-graph SLAM without a guess: read, diagnose, initialize, optimize, plot."""
+"""The back end of SLAM: read a pose graph, find what is wrong with it, and make a map of it.
+
+>>> import masat
+>>> graph = masat.read("graph.g2o")  # doctest: +SKIP
+>>> result = masat.solve(graph)  # doctest: +SKIP
+>>> masat.write(result.graph, "map.g2o")  # doctest: +SKIP
+"""
+
+from typing import Any
 
 from masat.covariance import covariances, relative_covariances
 from masat.diagnostics import Diagnosis, diagnose
@@ -17,6 +25,7 @@ from masat.initializers import initialize
 from masat.optimality.certificate import Certificate, certify
 from masat.optimizers import Iteration, Result, StopReason, optimize
 from masat.plotting import plot
+from masat.solver import solve
 
 __all__ = [
     "Certificate",
@@ -32,6 +41,7 @@ __all__ = [
     "PoseGraph",
     "Result",
     "StopReason",
+    "__version__",
     "certify",
     "covariances",
     "diagnose",
@@ -40,5 +50,19 @@ __all__ = [
     "plot",
     "read",
     "relative_covariances",
+    "solve",
     "write",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        # Reading the metadata takes longer than most graphs.
+        from importlib.metadata import version
+
+        return version("masat")
+    raise AttributeError(f"module 'masat' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,23 +1,29 @@
-"""How sure a map is: covariances of its poses, alone and of one as seen from another."""
+"""The uncertainty of a map: covariances of its poses, and of poses relative to others."""
 
 from __future__ import annotations
+
+import warnings
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from masat import lie
 from masat.arrays import Floats, Ids
-from masat.errors import GraphError, OptimizationError
+from masat.errors import GraphError, MasatWarning, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimizers.equations import normal_equations, why_singular
+
+_EPSILON = float(np.finfo(np.float64).eps)
+# Relative errors of the covariances above which they are refused, and above which a warning is due.
+_MAX_ERROR, _DOUBTFUL_ERROR = 1e-2, 1e-4
 
 
 def covariances(graph: PoseGraph, ids: ArrayLike | None = None) -> Floats:
     """Return the marginal covariances of poses, given all measurements.
 
     They belong to the Gaussian of the linearized problem at the graph's poses, normally those of
-    an optimum: blocks of the inverse of H = sum J' W J. The anchors hold still, their covariances
-    are zero; other anchors (`fixed`) give other covariances.
+    an optimum: blocks of the inverse of H = sum J' W J. Nodes of the gauge (`graph.gauge`) have zero
+    covariance, and other fixed nodes give other covariances.
 
     Parameters
     ----------
@@ -38,7 +44,9 @@ def covariances(graph: PoseGraph, ids: ArrayLike | None = None) -> Floats:
     GraphError
         If an id is not in the graph.
     OptimizationError
-        If the graph has no poses, or its edges leave some undetermined.
+        If the graph has no poses, its edges do not determine some of them, or the system is so
+        nearly singular that the covariances would be meaningless. If they may have fewer than
+        four correct digits, a `MasatWarning` says so.
 
     Notes
     -----
@@ -53,15 +61,14 @@ def covariances(graph: PoseGraph, ids: ArrayLike | None = None) -> Floats:
     wanted = graph.ids if ids is None else np.asarray(ids)
     if wanted.ndim != 1:
         raise GraphError(f"ids must have shape (k,), got {wanted.shape}")
-    places = graph.index(wanted)
-    return _blocks(graph, places, places)
+    indices = graph.index(wanted)
+    return _blocks(graph, indices, indices)
 
 
 def relative_covariances(graph: PoseGraph, pairs: ArrayLike) -> Floats:
-    """Return the covariances of poses as seen from others, whether an edge joins them or not.
+    """Return the covariances of poses relative to others, whether an edge joins them or not.
 
-    Unlike those of `covariances` they do not depend on the anchors, as long as these fix no more
-    than the gauge.
+    Unlike those of `covariances` they do not depend on the gauge-fixed nodes.
 
     Parameters
     ----------
@@ -81,7 +88,9 @@ def relative_covariances(graph: PoseGraph, pairs: ArrayLike) -> Floats:
     GraphError
         If an id is not in the graph.
     OptimizationError
-        If the graph has no poses, or its edges leave some undetermined.
+        If the graph has no poses, its edges do not determine some of them, or the system is so
+        nearly singular that the covariances would be meaningless. If they may have fewer than
+        four correct digits, a `MasatWarning` says so.
 
     Notes
     -----
@@ -89,42 +98,61 @@ def relative_covariances(graph: PoseGraph, pairs: ArrayLike) -> Floats:
     to the root of the factor, shared by the pairs of one node (Kaess and Dellaert, Robotics and
     Autonomous Systems 2009).
     """
-    places = graph.index(pairs)
-    if places.size == 0:
-        places = places.reshape(0, 2)
-    if places.ndim != 2 or places.shape[1] != 2:
-        raise GraphError(f"pairs must have shape (k, 2), got {places.shape}")
-    a, b = places.T
+    indices = graph.index(pairs)
+    if indices.size == 0:
+        indices = indices.reshape(0, 2)
+    if indices.ndim != 2 or indices.shape[1] != 2:
+        raise GraphError(f"pairs must have shape (k, 2), got {indices.shape}")
+    a, b = indices.T
     blocks = _blocks(graph, np.concatenate([a, b, a]), np.concatenate([a, b, b]))
     of_a, of_b, joint = blocks.reshape(3, len(a), graph.dof, graph.dof)
     assert graph.poses is not None
     turn = _derivative(lie.between(graph.poses[b], graph.poses[a]))
-    # With (turn, 1) for the derivatives: in halves, so that the sum is symmetric to the last bit.
+    # The derivatives are (turn, 1); summed in halves, so that the result is exactly symmetric.
     half = of_b / 2 + turn @ (of_a @ _transposed(turn) / 2 + joint)
     return half + _transposed(half)
 
 
 def _blocks(graph: PoseGraph, rows: Ids, columns: Ids) -> Floats:
-    """Return blocks of the joint covariance, (k, d, d), by places of nodes in `graph.ids`."""
+    """Return blocks of the joint covariance, (k, d, d), by indices of nodes in `graph.ids`."""
     if graph.poses is None:
         raise OptimizationError("the graph has no poses: give it some with masat.initialize")
     equations = normal_equations(graph)
     if not np.isfinite(equations.linearize(graph.poses)):
         raise OptimizationError("chi2 of the poses is not finite: they are too far apart")
-    broken = equations.factorize(np.zeros_like(equations.rhs()))
-    if broken >= 0:
-        raise OptimizationError(why_singular(graph, broken))
+    failed = equations.factorize(np.zeros_like(equations.rhs()))
+    if failed >= 0:
+        raise OptimizationError(why_singular(graph, failed))
+    _check_condition(equations.pivot_ratio())
     free = graph.elimination.free_nodes()
-    place = np.full(len(graph.ids), -1, np.int32)
-    place[free] = np.arange(len(free))
-    inside = (place[rows] >= 0) & (place[columns] >= 0)
+    index = np.full(len(graph), -1, np.int32)
+    index[free] = np.arange(len(free))
+    inside = (index[rows] >= 0) & (index[columns] >= 0)
     blocks = np.zeros((len(rows), graph.dof, graph.dof))
-    blocks[inside] = equations.inverse(place[rows[inside]], place[columns[inside]])
+    blocks[inside] = equations.inverse(index[rows[inside]], index[columns[inside]])
     return blocks
 
 
+def _check_condition(pivot_ratio: float) -> None:
+    """Judge the relative error that rounding makes: about its level over the smallest pivot."""
+    error = _EPSILON / pivot_ratio
+    if error > _MAX_ERROR:
+        raise OptimizationError(
+            f"the system is too nearly singular for covariances (condition about "
+            f"{1 / pivot_ratio:.1g}): some poses are hardly determined; masat.diagnose tells where "
+            "information is nearly singular"
+        )
+    if error > _DOUBTFUL_ERROR:
+        warnings.warn(
+            f"the covariances may be wrong by a fraction of about {error:.1g}: the system is nearly "
+            f"singular (condition about {1 / pivot_ratio:.1g})",
+            MasatWarning,
+            stacklevel=4,
+        )
+
+
 def _derivative(seen: Floats) -> Floats:
-    """Return the derivative of a^-1 b by a step of a, (k, d, d); `seen` is a as seen from b.
+    """Return the derivative of a^-1 b by a step of a, (k, d, d); `seen` is the pose of a relative to b.
 
     It is minus the adjoint of b^-1 a.
     """

@@ -1,8 +1,8 @@
-"""Information matrices: the check that they are positive definite, and two ways out if not."""
+"""Information matrices: check, repair, and isotropic weights in their place."""
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -46,3 +46,63 @@ def nearest_positive_definite(information: Floats) -> Floats:
         product = (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
     fixed[bad] = 0.5 * product + 0.5 * product.transpose(0, 2, 1)
     return fixed
+
+
+class IsotropicWeights(NamedTuple):
+    """One number per edge, (m,), for its rotation and one for its translation."""
+
+    rotation: Floats
+    translation: Floats
+
+
+def isotropic_weights(information: Floats) -> IsotropicWeights:
+    """Return isotropic weights that stand in for information matrices, (m, d, d).
+
+    A translation weighs d / trace(inverse of its block). For rotations see `rotation_weights`.
+    Source: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019, section 3.
+    """
+    d = 2 if information.shape[1] == 3 else 3
+    translation = d / _trace_of_inverse(information[:, :d, :d])
+    return IsotropicWeights(rotation_weights(information), translation)
+
+
+def rotation_weights(information: Floats) -> Floats:
+    """Return the isotropic weights of the rotations, (m,).
+
+    They make the chordal cost, weight |R_j - R_i R|^2, equal the chi2 of small residuals: half the
+    information of an angle in 2D, an eighth of that of the quaternion's vector part in 3D.
+    """
+    d = 2 if information.shape[1] == 3 else 3
+    rotation = information[:, d:, d:]
+    if d == 2:
+        return rotation[:, 0, 0] / 2
+    return 3 / _trace_of_inverse(rotation) / 8
+
+
+def _trace_of_inverse(a: Floats) -> Floats:
+    """Return the traces of the inverses of positive definite matrices, (m, 2, 2) or (m, 3, 3).
+
+    By the Cholesky factor L: the sum of the squares of its inverse. Positive, however badly
+    conditioned.
+    """
+    d = a.shape[1]
+    scale = np.einsum("kii->k", a)
+    a = a / scale[:, None, None]
+
+    def root(pivot: Floats, of: Floats) -> Floats:
+        return np.asarray(np.sqrt(np.maximum(pivot, np.finfo(np.float64).eps * of)))
+
+    l00 = root(a[:, 0, 0], a[:, 0, 0])
+    l10 = a[:, 1, 0] / l00
+    l11 = root(a[:, 1, 1] - l10**2, a[:, 1, 1])
+    i00, i11 = 1 / l00, 1 / l11
+    i10 = -l10 * i00 * i11
+    total = i00**2 + i10**2 + i11**2
+    if d == 3:
+        l20 = a[:, 2, 0] / l00
+        l21 = (a[:, 2, 1] - l20 * l10) / l11
+        i22 = 1 / root(a[:, 2, 2] - l20**2 - l21**2, a[:, 2, 2])
+        i21 = -l21 * i11 * i22
+        i20 = -(l20 * i00 + l21 * i10) * i22
+        total = total + i20**2 + i21**2 + i22**2
+    return np.asarray(total / scale)

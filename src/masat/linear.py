@@ -1,7 +1,7 @@
-"""Quadratic problems on a graph: what the linear starts solve.
+"""Linear least-squares problems on a graph, which the linear initial guesses solve.
 
-A node's unknown is a matrix X (d, k); an edge from i to j adds the trace of
-X_i' first X_i + 2 X_i' joint X_j + X_j' second X_j. The anchors hold still.
+A node's unknown is a matrix X (d, k). An edge from i to j adds the trace of
+X_i' first X_i + 2 X_i' joint X_j + X_j' second X_j. Fixed and gauge-fixed nodes keep their values.
 """
 
 from __future__ import annotations
@@ -16,112 +16,78 @@ from masat.errors import InitializationError
 from masat.graph import PoseGraph
 
 
-class Weights(NamedTuple):
-    """One number an edge, (m,), for its rotation and its translation."""
-
-    rotation: Floats
-    translation: Floats
-
-
-class Form(NamedTuple):
-    """The blocks of the edges, (m, d, d) each."""
+class EdgeBlocks(NamedTuple):
+    """The blocks that the edges add to a quadratic form, (m, d, d) each."""
 
     first: Floats
     joint: Floats
     second: Floats
 
 
-def isotropic_weights(graph: PoseGraph) -> Weights:
-    """Return the isotropic surrogates of the information matrices.
-
-    A translation weighs d / trace(inverse of its block); of the rotations see `rotation_weights`.
-    Source: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019, section 3.
-    """
-    d = graph.dimension
-    return Weights(rotation_weights(graph), d / _trace_of_inverse(graph.information[:, :d, :d]))
-
-
-def rotation_weights(graph: PoseGraph) -> Floats:
-    """Return the weights of the rotations, (m,).
-
-    They make the chordal cost, weight |R_j - R_i R|^2, equal the chi2 of small errors: half the
-    information of an angle in 2D, an eighth of that of the quaternion's vector part in 3D.
-    """
-    d = graph.dimension
-    rotation = graph.information[:, d:, d:]
-    if d == 2:
-        return rotation[:, 0, 0] / 2
-    return 3 / _trace_of_inverse(rotation) / 8
-
-
-def _trace_of_inverse(a: Floats) -> Floats:
-    """Return the traces of the inverses of positive definite matrices, (m, 2, 2) or (m, 3, 3).
-
-    By the Cholesky factor L: the sum of the squares of its inverse. Positive, however badly
-    conditioned.
-    """
-    d = a.shape[1]
-    scale = np.einsum("kii->k", a)
-    a = a / scale[:, None, None]
-
-    def root(pivot: Floats, of: Floats) -> Floats:
-        return np.asarray(np.sqrt(np.maximum(pivot, np.finfo(np.float64).eps * of)))
-
-    l00 = root(a[:, 0, 0], a[:, 0, 0])
-    l10 = a[:, 1, 0] / l00
-    l11 = root(a[:, 1, 1] - l10**2, a[:, 1, 1])
-    i00, i11 = 1 / l00, 1 / l11
-    i10 = -l10 * i00 * i11
-    total = i00**2 + i10**2 + i11**2
-    if d == 3:
-        l20 = a[:, 2, 0] / l00
-        l21 = (a[:, 2, 1] - l20 * l10) / l11
-        i22 = 1 / root(a[:, 2, 2] - l20**2 - l21**2, a[:, 2, 2])
-        i21 = -l21 * i11 * i22
-        i20 = -(l20 * i00 + l21 * i10) * i22
-        total = total + i20**2 + i21**2 + i22**2
-    return np.asarray(total / scale)
-
-
-def rotation_form(graph: PoseGraph, weight: Floats) -> Form:
-    """Return the form of weight |R_j - R_i R|^2, the unknowns being X_i = R_i'."""
+def rotation_blocks(graph: PoseGraph, weight: Floats) -> EdgeBlocks:
+    """Return the blocks of weight |R_j - R_i R|^2, the unknowns being X_i = R_i'."""
     d = graph.dimension
     same = weight[:, None, None] * np.eye(d)
-    return Form(same, -weight[:, None, None] * _core.rotation_matrices(graph.measurements), same)
+    joint = -weight[:, None, None] * _core.rotation_matrices(graph.measurements)
+    return EdgeBlocks(same, joint, same)
 
 
-class Minimizer:
-    """The minima of a form that pulls shift: factorized once."""
+class LinearProblem:
+    """A quadratic form on a graph, factorized once and minimized for any linear term.
 
-    def __init__(self, graph: PoseGraph, form: Form, values: Floats) -> None:
-        """Take a form; of `values`, (n, d, k), those of the anchors stand."""
+    Parameters
+    ----------
+    graph : PoseGraph
+        The graph.
+    blocks : EdgeBlocks
+        What the edges add to the form.
+    values : ndarray, (n, d, k)
+        Values of the unknowns; those of the fixed and gauge-fixed nodes are kept.
+
+    Raises
+    ------
+    InitializationError
+        If the edges around a node do not determine it.
+    """
+
+    def __init__(self, graph: PoseGraph, blocks: EdgeBlocks, values: Floats) -> None:
         self._values = values
         self._free = graph.elimination.free_nodes()
         self.matrix = _core.GraphMatrix(graph.elimination, values.shape[1])
-        self._forcing = self.matrix.assemble(graph.topology, *form, values)
-        broken = self.matrix.factorize(np.zeros(self._forcing[..., 0].size))
-        if broken >= 0:
-            raise InitializationError(
-                f"the edges around node {graph.ids[self._free[broken]]} do not determine it"
-            )
+        self._from_fixed = self.matrix.assemble(graph.topology, *blocks, values)
+        failed = self.matrix.factorize(np.zeros(self._from_fixed[..., 0].size))
+        if failed >= 0:
+            raise undetermined(graph, int(self._free[failed]))
 
-    def __call__(self, pull: Floats) -> Floats:
-        """Return the unknowns X that minimize the form less the traces of 2 X_i' pull_i.
+    def solve(self, linear_term: Floats | None = None) -> Floats:
+        """Return the unknowns X that minimize the form less the traces of 2 X_i' linear_term_i.
 
         Parameters
         ----------
-        pull : ndarray, (n, d, k)
+        linear_term : ndarray, (n, d, k), optional
+            Default: zero.
 
         Returns
         -------
         ndarray, (n, d, k)
         """
+        rhs = self._from_fixed
+        if linear_term is not None:
+            rhs = rhs + linear_term[self._free]
         solution = self._values.copy()
-        solution[self._free] = self.matrix.solve(self._forcing + pull[self._free])
+        solution[self._free] = self.matrix.solve(rhs)
         return solution
 
 
-def rotations(poses: Floats) -> Floats:
+def undetermined(graph: PoseGraph, node: int, what: str = "pose") -> InitializationError:
+    """Return the error for a node, given by its index, that its edges do not determine."""
+    return InitializationError(
+        f"the edges around node {graph.ids[node]} do not determine its {what}: see masat.diagnose "
+        "for nearly singular information"
+    )
+
+
+def transposed_rotations(poses: Floats) -> Floats:
     """Return the unknowns X_i = R_i' of poses, (n, d, d)."""
     return np.ascontiguousarray(_core.rotation_matrices(poses).transpose(0, 2, 1))
 
@@ -129,10 +95,10 @@ def rotations(poses: Floats) -> Floats:
 def nearest_rotations(graph: PoseGraph, poses: Floats, unknowns: Floats) -> Floats:
     """Return poses with the rotations nearest to unknowns X_i = R_i', (n, d, d).
 
-    Translations, and the poses of the anchors, stand.
+    Translations, and the poses of fixed and gauge-fixed nodes, are kept.
     """
     turned = _core.nearest_rotations(np.ascontiguousarray(unknowns.transpose(0, 2, 1)))
     turned[:, : graph.dimension] = poses[:, : graph.dimension]
-    held = graph.index(graph.gauge)
-    turned[held] = poses[held]
+    fixed = graph.index(graph.gauge)
+    turned[fixed] = poses[fixed]
     return turned

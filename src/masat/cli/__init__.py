@@ -15,13 +15,13 @@ EXIT_INTERRUPTED = 130
 # Their help stands here so that `masat --help` loads none of them.
 _COMMANDS = {
     "solve": "Optimize a pose graph and write the map.",
-    "info": "Say what a pose graph is like and what is odd about it.",
-    "compare": "Solve a pose graph from every start and compare.",
+    "info": "Say what a pose graph is like and what is wrong with it.",
+    "compare": "Solve a pose graph from every initial guess and compare.",
     "certify": "Tell whether the poses of a file are globally optimal.",
     "convert": "Convert a pose graph to g2o.",
     "study": "Run and report the paper's evaluation, or a study of your own.",
     "simulate": "Simulate a world and write its pose graph.",
-    "demo": "Simulate a world, solve it from every start, draw it.",
+    "demo": "Simulate a world, solve it from every initial guess, draw it.",
 }
 
 
@@ -47,7 +47,7 @@ class _Commands(click.Group):
 )
 @click.version_option(package_name="masat")
 def cli() -> None:
-    """Pose-graph SLAM without a guess.
+    """The back end of SLAM: from a pose graph to a map.
 
     FILE is a pose graph in the format of g2o, TORO or iSAM, gzipped or not, recognized by its
     content.

@@ -7,9 +7,12 @@ from pathlib import Path
 import click
 
 from masat.cli import EXIT_NOT_CONVERGED, options, show
-from masat.formats import write
+from masat.cli.progress import Stages
+from masat.errors import MasatError
+from masat.formats import format_of, write
 from masat.optimality.certificate import Certificate
 from masat.optimality.certificate import certify as certified
+from masat.progress import Progress
 
 
 @click.command(
@@ -23,7 +26,13 @@ from masat.optimality.certificate import certify as certified
     type=click.Path(path_type=Path),
     help="Where to write better poses, if some are found.",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the search.")
+@click.option(
+    "--search/--no-search",
+    default=True,
+    show_default=True,
+    help="Whether to search for better poses where there is no proof.",
+)
+@options.search
 @options.threads
 @options.output
 @click.pass_context
@@ -33,45 +42,56 @@ def certify(
     file_format: str | None,
     indefinite: str,
     out: Path | None,
+    search: bool,
     seed: int,
-    threads: int,
+    budget: float | None,
+    threads: int | None,
     as_json: bool,
     quiet: bool,
 ) -> None:
     """Tell whether the poses in FILE, from whatever program, are globally optimal.
 
-    Proves it by a bound that no poses' cost lies below, or finds better ones, or says that it is
-    open. Exit code 0 if it is proven, else 1.
+    Proves that no poses have a lower chi2, or finds some that have, or says that it is undecided
+    and how far below the optimum can be.
+
+    Exit code 0 if the poses are proven to be optimal, else 1.
     """
-    options.check_writable(out, file)
+    options.check_outputs(file, out)
+    if out is not None:
+        format_of(out)
     graph = options.load(file, file_format, indefinite, quiet)
-    with show.Wait(f"{file.name}  certificate", quiet=quiet):
-        proof = certified(graph, seed=seed, threads=threads)
-    if out is not None and proof.better is not None:
-        write(proof.better, out)
+    if graph.poses is None:
+        raise MasatError(f"{file}: has no poses to certify; masat solve {file} makes a map")
+    with Stages(file.name, quiet=quiet) as stages:
+        progress = Progress(budget, stages, catch_interrupts=True)
+        certificate = certified(
+            graph, search=search, seed=seed, threads=threads, progress=progress
+        )
+    if out is not None and certificate.better is not None:
+        write(certificate.better, out)
     if as_json:
-        show.as_json({"file": str(file), **(show.certificate(proof) or {})})
+        show.as_json({"file": str(file), **certificate.to_dict()})
     elif not quiet:
-        _tell(proof, out)
-    if not proof.certified:
+        _print(certificate, out)
+    if not certificate.certified:
         ctx.exit(EXIT_NOT_CONVERGED)
 
 
-def _tell(proof: Certificate, out: Path | None) -> None:
+def _print(certificate: Certificate, out: Path | None) -> None:
     written = "nothing"
-    if proof.better is not None:
+    if certificate.better is not None:
         written = str(out) if out is not None else "nothing: name a file with -o for better poses"
-    equal = ", which is chi2 here," if proof.exact else ""
-    rows = [
-        ("certified", "yes" if proof.certified else "no"),
-        ("finding", proof.message),
-        ("chi2", f"{proof.chi2:.8g} in the file, {proof.optimum:.8g} at the best minimum found"),
-        (
-            "chordal cost",
-            f"{proof.cost:.8g}{equal} at its best minimum found; no poses have less than "
-            f"{proof.bound:.8g}: a gap of {proof.gap:.2g}",
-        ),
-        ("written", written),
-    ]
-    for key, text in rows:
-        click.echo(f"{key:<13} {text}")
+    show.rows(
+        [
+            ("status", show.status(certificate)),
+            ("finding", certificate.message),
+            ("chi2", f"{certificate.chi2:.8g} in the file"),
+            ("lowest known", f"{certificate.optimum:.8g}"),
+            (
+                "lower bound",
+                f"{certificate.bound:.8g}: no poses have less; a gap of {certificate.gap:.2g} of "
+                "chi2",
+            ),
+            ("written", written),
+        ]
+    )

@@ -9,17 +9,19 @@ from typing import Any, NamedTuple
 import click
 
 from masat.cli import options, show
-from masat.errors import InitializationError
+from masat.cli.progress import Iterations, Stages
+from masat.errors import MasatError
 from masat.graph import PoseGraph
-from masat.initializers import INITIALIZERS, initialize
+from masat.initializers import INITIALIZERS, guess_of
 from masat.optimizers import Result, optimize
+from masat.progress import Progress
 
 # chi2 this much above the best, relatively, is another minimum.
 _SAME = 1e-6
 
 
 class Run(NamedTuple):
-    """One start and where it led."""
+    """One initial guess and where it led."""
 
     init: str
     seconds: float
@@ -30,28 +32,31 @@ class Run(NamedTuple):
 def run(
     graph: PoseGraph, method: str, *, quiet: bool, **limits: Any
 ) -> tuple[list[Run], dict[str, str]]:
-    """Solve a graph from every start; of those that refuse it, tell why."""
-    runs, refusals = [], {}
+    """Solve a graph from every initial guess; also return why some cannot be made."""
+    runs, failures = [], {}
     for init in INITIALIZERS:
         begin = perf_counter()
         try:
-            with show.Wait(f"start {init}", quiet=quiet):
-                guess = initialize(graph, init)
-                seconds = perf_counter() - begin
-        except InitializationError as refusal:
-            refusals[init] = str(refusal)
+            with Stages(f"initial guess {init}", quiet=quiet) as stages:
+                guess = guess_of(graph, init, progress=Progress(report=stages))
+            seconds = perf_counter() - begin
+            with Iterations(init, limits.get("max_iterations", 100), quiet=quiet) as watch:
+                result = optimize(guess, method, report=watch, **limits)
+        except MasatError as failure:
+            failures[init] = str(failure)
             continue
-        with show.Watch(init, limits.get("max_iterations", 100), quiet=quiet) as watch:
-            runs.append(Run(init, seconds, guess, optimize(guess, method, report=watch, **limits)))
-    return runs, refusals
+        runs.append(Run(init, seconds, guess, result))
+    if not runs:
+        raise MasatError(f"no initial guess leads anywhere: {next(iter(failures.values()))}")
+    return runs, failures
 
 
-def tell(runs: list[Run], refusals: dict[str, str]) -> None:
-    """Print the table of the runs, and who refused."""
+def show_runs(runs: list[Run], failures: dict[str, str]) -> None:
+    """Print the table of the runs, and which failed."""
     best = min(r.result.chi2 for r in runs)
     show.table(
         (
-            "start",
+            "initial guess",
             "guess took",
             "initial chi2",
             "final chi2",
@@ -74,8 +79,13 @@ def tell(runs: list[Run], refusals: dict[str, str]) -> None:
             for r in runs
         ],
     )
-    for init, reason in refusals.items():
-        click.echo(f"{init} refuses: {reason}")
+    for init, reason in failures.items():
+        click.echo(f"{init} fails: {reason}")
+
+
+def runs_as_json(runs: list[Run]) -> list[dict[str, Any]]:
+    """Return what JSON says of the runs."""
+    return [{"init": r.init, "init_seconds": r.seconds, **show.summary(r.result)} for r in runs]
 
 
 def _end(result: Result, best: float) -> str:
@@ -97,16 +107,17 @@ def compare(
     optimizer: str,
     max_iterations: int,
     tolerance: float,
-    threads: int,
+    threads: int | None,
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Solve the pose graph in FILE from every start: time, chi2 before and after, iterations."""
+    """Solve the pose graph in FILE from every initial guess: time, chi2, iterations."""
+    options.check_outputs(file, picture)
     options.check_picture(picture)
     graph = options.load(file, file_format, indefinite, quiet)
-    runs, refusals = run(
+    runs, failures = run(
         graph,
-        options.OPTIMIZER_NAMES[optimizer],
+        optimizer,
         quiet=quiet,
         max_iterations=max_iterations,
         relative_tolerance=tolerance,
@@ -117,10 +128,13 @@ def compare(
 
         plot({f"{r.init}: chi2 {r.result.chi2:.4g}": r.result.graph for r in runs}, picture)
     if as_json:
-        starts = [
-            {"init": r.init, "init_seconds": r.seconds, **show.summary(r.result)} for r in runs
-        ]
-        notes = list(graph.notes)
-        show.as_json({"file": str(file), "notes": notes, "starts": starts, "refused": refusals})
+        show.as_json(
+            {
+                "file": str(file),
+                "notes": list(graph.notes),
+                "inits": runs_as_json(runs),
+                "failed": failures,
+            }
+        )
     elif not quiet:
-        tell(runs, refusals)
+        show_runs(runs, failures)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from masat.cli import options, show
-from masat.cli.compare import run, tell
+from masat.cli.compare import run, runs_as_json, show_runs
 from masat.worlds import manhattan, perturb
 
 _DRAWN = ("odometry", "spanning_tree", "masat", "auto")
@@ -32,34 +32,32 @@ _DRAWN = ("odometry", "spanning_tree", "masat", "auto")
 )
 @options.output
 def demo(nodes: int, noise: float, seed: int, picture: Path, as_json: bool, quiet: bool) -> None:
-    """Simulate a robot's walk through Manhattan, solve it from every start, draw four of them.
+    """Simulate a robot's walk through Manhattan, solve it from every initial guess, draw four.
 
-    'given' is the simulated truth: the start that nobody has in real life.
+    The guess 'given' is the simulated truth, which nobody has in real life.
     """
+    options.check_outputs(None, picture)
     options.check_picture(picture)
     truth = manhattan(nodes, int(1.55 * nodes), extent=int(nodes**0.5), seed=seed)
     graph = perturb(truth, (noise, noise, noise), seed=seed)
-    runs, refusals = run(
+    runs, failures = run(
         graph, "gauss_newton", quiet=quiet, max_iterations=50, relative_tolerance=1e-6
     )
     from masat.plotting import plot
 
     shown = [r for r in runs if r.init in _DRAWN]
     plot(
-        {f"start: {r.init}": r.guess for r in shown}
+        {f"initial guess: {r.init}": r.guess for r in shown}
         | {f"{r.init}, optimized: chi2 {r.result.chi2:.4g}": r.result.graph for r in shown},
         picture,
         columns=len(shown),
     )
     if as_json:
-        starts = [
-            {"init": r.init, "init_seconds": r.seconds, **show.summary(r.result)} for r in runs
-        ]
-        show.as_json({"nodes": nodes, "edges": len(graph.edges), "starts": starts})
+        show.as_json({"nodes": nodes, "edges": len(graph.edges), "inits": runs_as_json(runs)})
     elif not quiet:
         click.echo(
             f"A walk of {nodes} poses with {len(graph.edges)} measurements, noise {noise} m and "
             f"rad, Gauss-Newton with at most 50 iterations:"
         )
-        tell(runs, refusals)
+        show_runs(runs, failures)
         click.echo(f"Picture: {picture}    Next: masat solve FILE -o OUT --plot OUT.png")

@@ -1,4 +1,4 @@
-"""Arguments and options that commands share."""
+"""Arguments and options that commands share, and the checks of output files."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from masat.initializers import INITIALIZERS
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-OPTIMIZER_NAMES = {"gn": "gauss_newton", "lm": "levenberg_marquardt", "dogleg": "dogleg"}
+OPTIMIZERS = ("lm", "gn", "dogleg")
+_PICTURES = (".png", ".pdf", ".svg", ".jpg")
 
 
 def graph_file(command: F) -> F:
-    """Add FILE and how to read it; the command gets a `load` function."""
+    """Add FILE and how to read it, for `load`."""
     for option in (
         click.option(
             "--indefinite",
@@ -42,7 +43,7 @@ def graph_file(command: F) -> F:
 
 
 def load(file: Path, file_format: str | None, indefinite: Any, quiet: bool) -> PoseGraph:
-    """Read FILE and tell its notes."""
+    """Read FILE and print its notes."""
     graph = read(file, format=file_format, indefinite=indefinite)
     if not quiet:
         notes(graph.notes)
@@ -50,7 +51,7 @@ def load(file: Path, file_format: str | None, indefinite: Any, quiet: bool) -> P
 
 
 def notes(texts: tuple[str, ...]) -> None:
-    """Tell remarks on standard error."""
+    """Print remarks on standard error."""
     for text in texts:
         click.echo(f"note: {text}", err=True)
 
@@ -61,18 +62,38 @@ def output(command: F) -> F:
     return click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")(command)
 
 
-def start(command: F) -> F:
+def initial_guess(command: F) -> F:
     """Add --init and --root."""
     command = click.option(
-        "--root", type=int, help="Id of the node at the origin.  [default: the smallest]"
+        "--root",
+        type=int,
+        help="Id of the node that is placed at the origin and not optimized.  "
+        "[default: the smallest id]",
     )(command)
     return click.option(
         "--init",
         type=click.Choice(list(INITIALIZERS)),
         default="auto",
         show_default=True,
-        help="Initial guess: 'auto' begins with chordal, checks, lifts where that leaves doubt; "
-        "'given' keeps the poses of FILE; docs/starts.md compares them all.",
+        help="Initial guess: 'auto' searches for the lowest minimum; 'given' takes the poses of "
+        "FILE; docs/starts.md compares them all.",
+    )(command)
+
+
+def search(command: F) -> F:
+    """Add --seed and --budget."""
+    command = click.option(
+        "--budget",
+        type=click.FloatRange(min=0),
+        metavar="SECONDS",
+        help="Stop after so many seconds with the best map so far. Ctrl-C does the same.",
+    )(command)
+    return click.option(
+        "--seed",
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=True,
+        help="Seed of the random numbers of the search.",
     )(command)
 
 
@@ -80,10 +101,9 @@ def threads(command: F) -> F:
     """Add --threads."""
     return click.option(
         "--threads",
-        type=click.IntRange(min=1),
-        default=1,
-        show_default=True,
-        help="Threads of the factorization; the numbers do not depend on it.",
+        type=click.IntRange(min=1, max=1024),
+        help="Threads that factorize; the numbers do not depend on it.  "
+        "[default: as many as pay for this graph]",
     )(command)
 
 
@@ -96,14 +116,14 @@ def optimizer(command: F) -> F:
             type=click.FloatRange(min=0),
             default=1e-9,
             show_default=True,
-            help="Stop when chi2 falls by a smaller share of itself.",
+            help="Stop when chi2 falls by a smaller fraction of itself.",
         ),
         click.option(
             "--max-iterations", type=click.IntRange(min=0), default=100, show_default=True
         ),
         click.option(
             "--optimizer",
-            type=click.Choice(list(OPTIMIZER_NAMES)),
+            type=click.Choice(OPTIMIZERS),
             default="lm",
             show_default=True,
             help="Levenberg-Marquardt, Gauss-Newton or Powell's dogleg.",
@@ -113,20 +133,38 @@ def optimizer(command: F) -> F:
     return command
 
 
-def check_writable(target: Path | None, source: Path | None = None) -> None:
-    """Refuse, before the work begins, a target that cannot be or must not be written."""
-    if target is None:
-        return
-    if source is not None and target.exists() and source.exists() and target.samefile(source):
-        raise MasatError(f"{target}: is the input, which is never changed; choose another name")
-    if not target.parent.is_dir():
-        raise MasatError(f"{target}: its folder does not exist")
-    if target.is_dir():
-        raise MasatError(f"{target}: is a folder, expected the name of a file")
+def check_outputs(source: Path | None, *targets: Path | None) -> None:
+    """Refuse, before the work begins, output files that cannot or must not be written.
+
+    Raises
+    ------
+    MasatError
+        If a file is the input, is named twice, is a folder, or its folder does not exist.
+    """
+    seen: set[Path] = set()
+    for target in targets:
+        if target is None:
+            continue
+        try:
+            resolved = target.resolve(strict=False)
+            if source is not None and target.exists() and source.exists():
+                same = target.samefile(source)
+            else:
+                same = False
+        except (OSError, RuntimeError) as error:
+            raise MasatError(f"{target}: cannot be written: {error}") from None
+        if same:
+            raise MasatError(f"{target}: is the input, which is never changed; choose another name")
+        if resolved in seen:
+            raise MasatError(f"{target}: is named for two outputs; choose different names")
+        seen.add(resolved)
+        if not target.parent.is_dir():
+            raise MasatError(f"{target}: its folder does not exist")
+        if target.is_dir():
+            raise MasatError(f"{target}: is a folder, expected the name of a file")
 
 
 def check_picture(target: Path | None) -> None:
-    """Refuse a picture whose ending names no format."""
-    check_writable(target)
-    if target is not None and target.suffix not in (".png", ".pdf", ".svg", ".jpg"):
-        raise MasatError(f"{target}: a picture ends in .png, .pdf, .svg or .jpg")
+    """Refuse a picture whose suffix names no format."""
+    if target is not None and target.suffix not in _PICTURES:
+        raise MasatError(f"{target}: a picture ends in {', '.join(_PICTURES)}")

@@ -9,12 +9,11 @@ from typing import Any
 import click
 
 from masat.cli import EXIT_NOT_CONVERGED, options, show
-from masat.formats import write
-from masat.initializers import initialize
-from masat.optimality.certificate import Certificate, certify
-from masat.optimizers import Result, optimize
-
-_NAMES = {True: "cost", False: "chordal cost"}
+from masat.cli.progress import Iterations, Stages
+from masat.formats import format_of, write
+from masat.optimality.certificate import Certificate
+from masat.optimizers import Result
+from masat.solver import solve as solved
 
 
 @click.command(
@@ -30,7 +29,13 @@ _NAMES = {True: "cost", False: "chordal cost"}
 @click.option(
     "--save", type=click.Path(path_type=Path), help="Result with its history, .npz (Result.load)."
 )
-@options.start
+@options.initial_guess
+@options.search
+@click.option(
+    "--certify/--no-certify",
+    default=None,
+    help="Whether to prove that the map is the global optimum.  [default: unless --quiet]",
+)
 @options.optimizer
 @options.output
 @click.pass_context
@@ -44,109 +49,122 @@ def solve(
     save: Path | None,
     init: str,
     root: int | None,
+    seed: int,
+    budget: float | None,
+    certify: bool | None,
     optimizer: str,
     max_iterations: int,
     tolerance: float,
-    threads: int,
+    threads: int | None,
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Optimize the pose graph in FILE: read, initialize, optimize, write, draw.
+    """Optimize the pose graph in FILE: read, make an initial guess, optimize, write, draw.
 
-    Nodes named by FIX keep their poses; without such, the smallest id of each component does.
+    Nodes named by FIX keep their poses. In a component without any, the smallest id is not
+    optimized, or the node named with --root.
+
+    Ctrl-C ends the search with the best map so far, which is still written.
     """
-    options.check_writable(out, file)
-    options.check_writable(save, file)
+    options.check_outputs(file, out, save, picture)
     options.check_picture(picture)
+    if out is not None:
+        format_of(out)
     begin = perf_counter()
     graph = options.load(file, file_format, indefinite, quiet)
-    loaded = perf_counter()
-    with show.Wait(f"{file.name}  start {init}", quiet=quiet):
-        guess = initialize(graph, init, root=root)
-        guessed = perf_counter()
-    if not quiet:
-        options.notes(guess.notes[len(graph.notes) :])
-    with show.Watch(file.name, max_iterations, quiet=quiet) as watch:
-        result = optimize(
-            guess,
-            options.OPTIMIZER_NAMES[optimizer],
+    read_seconds = perf_counter() - begin
+    stages = Stages(f"{file.name}  {init}", quiet=quiet)
+    iterations = Iterations(file.name, max_iterations, quiet=quiet)
+    with stages, iterations:
+        result = solved(
+            graph,
+            init=init,
+            optimizer=optimizer,
+            root=root,
+            certify=(as_json or not quiet) if certify is None else certify,
             max_iterations=max_iterations,
             relative_tolerance=tolerance,
             threads=threads,
-            report=watch,
+            seed=seed,
+            budget=budget,
+            report=iterations,
+            report_stage=stages,
         )
+    if not quiet:
+        new = result.graph.notes[len(graph.notes) :]
+        options.notes(tuple(note for note in new if note not in stages.warned))
     if out is not None:
         write(result.graph, out)
     if save is not None:
         result.save(save)
     if picture is not None:
-        from masat.plotting import plot
+        from masat.plotting import before_and_after, plot
 
-        plot({f"{init}: chi2 {result.initial_chi2:.4g}": guess,
-              f"optimized: chi2 {result.chi2:.4g}": result.graph}, picture)  # fmt: skip
-    times = {"read": loaded - begin, "initialize": guessed - loaded, "optimize": result.seconds}
-    proof = None
-    if result.converged and (as_json or not quiet):
-        with show.Wait(f"{file.name}  certificate", quiet=quiet):
-            proof = certify(result.graph, lift=False, threads=threads)
+        plot(before_and_after(graph, result.graph), picture)
+    times = {
+        "read": read_seconds,
+        "initial guess": result.init_seconds,
+        "optimize": result.seconds,
+    }
     if as_json:
         about: dict[str, Any] = {
             "file": str(file),
-            "nodes": len(graph.ids),
+            "nodes": len(graph),
             "edges": len(graph.edges),
             "init": init,
-            "notes": list(guess.notes),
+            "notes": list(result.graph.notes),
             "times": times,
         }
-        show.as_json(about | show.summary(result) | {"certificate": show.certificate(proof)})
+        proof = result.certificate and result.certificate.to_dict()
+        show.as_json(about | show.summary(result) | {"certificate": proof})
     elif not quiet:
-        written = [p for p in (out, save, picture) if p is not None]
-        _tell(result, proof, init, times, written)
+        _print(result, times, [p for p in (out, save, picture) if p is not None])
     if not result.converged:
         if quiet or as_json:
             click.echo(f"masat: {file}: {result.message}", err=True)
         ctx.exit(EXIT_NOT_CONVERGED)
 
 
-def _tell(
-    result: Result,
-    proof: Certificate | None,
-    init: str,
-    times: dict[str, float],
-    written: list[Path],
-) -> None:
+def _print(result: Result, times: dict[str, float], written: list[Path]) -> None:
     graph = result.graph
-    shown = ", ".join(map(str, result.gauge[:5])) + (", ..." if len(result.gauge) > 5 else "")
-    rows = [
-        ("graph", f"{graph.dimension}D, {len(graph.ids)} nodes, {len(graph.edges)} edges"),
-        ("start", f"{init}, chi2 {result.initial_chi2:.6g}"),
-        ("result", f"chi2 {result.chi2:.6g} in {result.iterations} iterations of {result.method}"),
-        ("stopped", result.message),
-        ("optimum", _optimum(proof)),
-        ("reduced chi2", _quality(result.reduced_chi2)),
-        ("held still", f"node {shown}"),
-        ("time", ", ".join(f"{k} {show.duration(v)}" for k, v in times.items())),
-        ("written", ", ".join(map(str, written)) or "nothing: name a file with -o"),
-    ]
-    for name, text in rows:
-        click.echo(f"{name:<13} {text}")
+    gauge = ", ".join(map(str, result.gauge[:5])) + (", ..." if len(result.gauge) > 5 else "")
+    show.rows(
+        [
+            ("graph", f"{graph.dimension}D, {len(graph)} nodes, {len(graph.edges)} edges"),
+            ("initial guess", f"{result.init}, chi2 {result.initial_chi2:.6g}"),
+            (
+                "result",
+                f"chi2 {result.chi2:.6g} in {result.iterations} iterations of {result.method}",
+            ),
+            ("stopped", result.message),
+            ("optimum", _optimum(result.certificate)),
+            ("reduced chi2", _quality(result.reduced_chi2)),
+            ("not optimized", f"node {gauge}"),
+            ("time", ", ".join(f"{k} {show.duration(v)}" for k, v in times.items())),
+            ("written", ", ".join(map(str, written)) or "nothing: name a file with -o"),
+        ]
+    )
 
 
-def _optimum(proof: Certificate | None) -> str:
-    if proof is None:
-        return "not certified: not converged"
-    if proof.better is not None:
-        return f"not global: chi2 {proof.optimum:.6g} is known, masat certify -o writes it"
-    if proof.certified:
-        return f"global, certified to {proof.gap:.1g} of the {_NAMES[proof.exact]}"
-    return "not certified: ask masat certify, which may find a better one"
+def _optimum(certificate: Certificate | None) -> str:
+    if certificate is None:
+        return "not certified"
+    said = show.status(certificate)
+    if certificate.better is not None:
+        return f"{said}: chi2 {certificate.optimum:.6g} is known; masat certify -o writes it"
+    if certificate.certified:
+        return f"{said}: proven to be the global optimum, to {certificate.gap:.1g} of chi2"
+    return (
+        f"{said}: not proven; chi2 of all poses is at least {certificate.bound:.6g}; "
+        "masat certify searches further"
+    )
 
 
 def _quality(reduced: float | None) -> str:
     if reduced is None:
         return "- (nothing is measured twice)"
     if reduced > 2:
-        hint = "(over 1: wrong edges, a local minimum, or information that promises too much)"
+        hint = "(over 1: wrong edges, a local minimum, or information that is too large)"
     elif reduced < 0.5:
         hint = "(under 1: the measurements are better than their information says)"
     else:

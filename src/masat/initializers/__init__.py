@@ -19,14 +19,26 @@ from masat.initializers.odometry import odometry
 from masat.initializers.spanning_tree import spanning_tree
 from masat.initializers.spectral import spectral
 from masat.initializers.toro import toro
+from masat.progress import Progress
 
 
 class Initializer(Protocol):
     """Gives a graph its poses; the first line of its docstring describes it to users."""
 
-    def __call__(self, graph: PoseGraph, root: int | None = None) -> PoseGraph:
-        """Return the graph with poses, the root at the identity."""
+    def __call__(self, graph: PoseGraph) -> PoseGraph:
+        """Return the graph with poses, its gauge-fixed nodes at the identity."""
 
+
+class SearchingInitializer(Protocol):
+    """An initializer that may take long: it reports its stages and can be given a time limit."""
+
+    def __call__(
+        self, graph: PoseGraph, *, seed: int = 0, progress: Progress | None = None
+    ) -> PoseGraph:
+        """Return the graph with poses, its gauge-fixed nodes at the identity."""
+
+
+SEARCHES: dict[str, SearchingInitializer] = {"auto": auto, "lifted": lifted}
 
 INITIALIZERS: dict[str, Initializer] = {
     "auto": auto,
@@ -44,7 +56,14 @@ INITIALIZERS: dict[str, Initializer] = {
 }
 
 
-def initialize(graph: PoseGraph, method: str = "masat", *, root: int | None = None) -> PoseGraph:
+def initialize(
+    graph: PoseGraph,
+    method: str = "auto",
+    *,
+    root: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> PoseGraph:
     """Give a graph an initial guess.
 
     Parameters
@@ -54,8 +73,12 @@ def initialize(graph: PoseGraph, method: str = "masat", *, root: int | None = No
     method : str
         One of `masat.initializers.INITIALIZERS`.
     root : int, optional
-        Id of the node placed at the identity. Default: the smallest of its component. Each further
-        component has a root of its own, its smallest id; components with fixed nodes begin there.
+        Id of the node placed at the identity, which optimizers then leave there. Default: the
+        smallest of its component. A component with fixed nodes begins at these.
+    seed : int
+        Seed of the random noise that "auto" and "lifted" add when they raise a rank.
+    progress : Progress, optional
+        What reports the stages of "auto" and "lifted" and limits their time.
 
     Returns
     -------
@@ -68,14 +91,30 @@ def initialize(graph: PoseGraph, method: str = "masat", *, root: int | None = No
     InitializationError
         If the method is unknown or cannot do what is asked.
     GraphError
-        If the root is not in the graph.
+        If the root is not in the graph, or is not fixed in a component that has fixed nodes.
     """
-    if method not in INITIALIZERS:
-        raise InitializationError(
-            f"unknown initial guess {method!r}; known: {', '.join(INITIALIZERS)}"
-        )
-    guess = INITIALIZERS[method](graph, root)
+    guess = guess_of(graph, method, root=root, seed=seed, progress=progress)
     for note in guess.notes:
         if note not in graph.notes:
             warnings.warn(note, MasatWarning, stacklevel=2)
     return guess
+
+
+def guess_of(
+    graph: PoseGraph,
+    method: str,
+    *,
+    root: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> PoseGraph:
+    """Do what `initialize` does, without its warnings."""
+    if method not in INITIALIZERS:
+        raise InitializationError(
+            f"unknown initial guess {method!r}; known: {', '.join(INITIALIZERS)}"
+        )
+    if root is not None:
+        graph = graph.with_root(root)
+    if method in SEARCHES:
+        return SEARCHES[method](graph, seed=seed, progress=progress)
+    return INITIALIZERS[method](graph)

@@ -1,21 +1,39 @@
-"""The automatic start."""
+"""The automatic initial guess."""
 
 from __future__ import annotations
 
 from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
-from masat.initializers.lifted import best_minimum
-from masat.initializers.roots import rooted
+from masat.optimality.best import best_minimum
+from masat.progress import Progress
 
 
-def auto(graph: PoseGraph, root: int | None = None) -> PoseGraph:
-    """Begin cheaply, check, and search on only where that leaves doubt.
+def auto(
+    graph: PoseGraph, *, seed: int = 0, progress: Progress | None = None
+) -> PoseGraph:
+    """Solve, check whether the minimum looks global, and search on only where it does not.
 
-    The chordal start, optimized; if the minimum looks global
-    (`masat.optimality.relaxation.Relaxation.plausible`), it is the start. If not, lower ones are sought around
-    the places that leave doubt (`masat.optimality.search`), and of all nodes together where the way to the
-    first was long. The rule is measured in docs/starts.md.
+    Begins with the chordal guess, optimized; see `masat.optimality.best.best_minimum`. The rule
+    is measured in docs/starts.md.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        The graph.
+    seed : int
+        Seed of the random noise that the search adds when it raises a rank.
+    progress : Progress, optional
+        What reports the stages of the search and limits its time.
+
+    Returns
+    -------
+    PoseGraph
+        The graph at the lowest minimum found.
+
+    Raises
+    ------
+    InitializationError
+        If the graph cannot be optimized.
     """
-    guess = chordal(graph)
-    poses, _ = best_minimum(guess)
-    return rooted(guess, poses, root, [])
+    found = best_minimum(chordal(graph), seed=seed, progress=progress)
+    return graph.with_poses(found.poses, notes=found.notes)

@@ -7,7 +7,6 @@ import numpy as np
 from masat.errors import InitializationError
 from masat.graph import PoseGraph
 from masat.initializers.odometry import odometry
-from masat.initializers.roots import rooted
 from masat.optimizers.equations import normal_equations, rounding_level
 from masat.optimizers.levenberg_marquardt import levenberg_marquardt
 from masat.optimizers.robust import Cauchy
@@ -17,28 +16,26 @@ _TOLERANCE = 1e-4
 
 
 def cauchy(
-    graph: PoseGraph, root: int | None = None, *, scale: float = 1.0, iterations: int = 50
+    graph: PoseGraph, *, scale: float = 1.0, iterations: int = 50
 ) -> PoseGraph:
-    """Optimize odometry under a cost that hardly heeds the edges that contradict it.
+    """Optimize odometry under a robust cost, in which edges that contradict it have little weight.
 
     Minimizes the sum of c^2 log(1 + chi2 / c^2) over the edges, c being the scale, by
-    Levenberg-Marquardt. The loops that odometry misses by far pull little at first, and the more,
-    the better their neighbors fit; wrong loops stay without a say.
+    Levenberg-Marquardt. Loop closures that odometry misses by far have little weight at first, and
+    more the better their neighbors fit; wrong closures never gain weight.
 
     Parameters
     ----------
     graph : PoseGraph
         The graph.
-    root : int, optional
-        Id of the node placed at the identity.
     scale : float
-        The c, in standard deviations: an edge of chi2 c^2 weighs half. The paper's 1 led
+        The c, in standard deviations: an edge of chi2 c^2 has half its weight. The paper's 1 led
         Gauss-Newton to success in all of 98 runs on Manhattan3500 and City10k with .1 to .35 m
         and rad of noise; 2 and 2.8 need fewer iterations after them, but failed in up to a third
         of the runs at .3.
     iterations : int
-        At most so many, each as dear as one of an optimizer. They end when the cost changes by
-        less than 1e-4 of itself; 25, or a change of 1e-3, led to worse minima.
+        Limit of the iterations, each as expensive as one of an optimizer. They end when the cost
+        changes by less than 1e-4 of itself; 25, or a change of 1e-3, led to worse minima.
 
     Returns
     -------
@@ -53,7 +50,7 @@ def cauchy(
     Notes
     -----
     Source: Hu, Khosoussi and Huang, Towards a Reliable SLAM Back-End, IROS 2013. There the steps
-    are Gauss-Newton's; here damping shortens those that would climb.
+    are Gauss-Newton's; here damping shortens those that would raise the cost.
     """
     if not 0 < scale < np.inf:
         raise InitializationError(f"the scale must be positive, got {scale}")
@@ -61,11 +58,11 @@ def cauchy(
         raise InitializationError(
             f"the number of iterations must not be negative, got {iterations}"
         )
-    guess = odometry(graph, root)
+    guess = odometry(graph)
     assert guess.poses is not None
     poses = guess.poses
     if len(guess.elimination.free_nodes()):
-        equations = Cauchy(normal_equations(guess), scale)
+        equations = Cauchy(guess, normal_equations(guess), scale)
         termination = Termination(iterations, _TOLERANCE, 0.0, 0.0, rounding_level(guess))
         poses = levenberg_marquardt(equations, poses, termination, lambda _: None).poses
-    return rooted(guess, poses, root, [])
+    return guess.with_poses(poses, notes=[])

@@ -6,12 +6,10 @@ from masat.errors import InitializationError
 from masat.graph import PoseGraph
 
 
-def given(graph: PoseGraph, root: int | None = None) -> PoseGraph:
+def given(graph: PoseGraph) -> PoseGraph:
     """Keep the graph's own poses."""
     if graph.poses is None:
         raise InitializationError(
             "the graph has no poses of its own to start from: choose another initial guess"
         )
-    if root is not None:
-        raise InitializationError("poses that are given have no root: leave the root out")
     return graph

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from masat import _core
 from masat.graph import PoseGraph
-from masat.initializers.roots import roots_of
+from masat.initializers.roots import gauge_poses
 
 
-def masat(graph: PoseGraph, root: int | None = None) -> PoseGraph:
+def masat(graph: PoseGraph) -> PoseGraph:
     """Place each node, breadth-first, at the average of what its placed neighbors say.
 
     Positions are averaged as vectors, headings as unit vectors, 3D rotations as unit quaternions of
@@ -15,6 +15,6 @@ def masat(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     time, whatever the noise. Source: Hars, Multi-Ancestor Spatial Approximation Tree (MASAT), the
     algorithm of its section 3.
     """
-    roots, poses, notes = roots_of(graph, root)
+    roots, poses, notes = gauge_poses(graph)
     placed = _core.place_by_masat(graph.topology, roots, graph.measurements, poses)
     return graph.with_poses(placed, notes=notes)

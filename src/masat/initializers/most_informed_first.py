@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from masat import _core
 from masat.graph import PoseGraph
-from masat.initializers.roots import roots_of
+from masat.initializers.roots import gauge_poses
 
 
-def most_informed_first(graph: PoseGraph, root: int | None = None) -> PoseGraph:
+def most_informed_first(graph: PoseGraph) -> PoseGraph:
     """Place each node as MASAT does, but next the one that its placed neighbors know best.
 
     A measurement has the variance 1, and a proposal that plus the variance v of who makes it. A
@@ -28,6 +28,6 @@ def most_informed_first(graph: PoseGraph, root: int | None = None) -> PoseGraph:
     Proposals are taken to be independent, though they share errors: with variances that allow for
     that, the walk is nearly breadth-first again, and the guesses no better than those of MASAT.
     """
-    roots, poses, notes = roots_of(graph, root)
+    roots, poses, notes = gauge_poses(graph)
     placed = _core.place_most_informed_first(graph.topology, roots, graph.measurements, poses)
     return graph.with_poses(placed, notes=notes)

@@ -5,28 +5,36 @@ from __future__ import annotations
 import numpy as np
 
 from masat import _core
+from masat.arrays import Flags
 from masat.graph import PoseGraph
-from masat.initializers.roots import roots_of
+from masat.initializers.roots import gauge_poses
 
 
-def odometry(graph: PoseGraph, root: int | None = None) -> PoseGraph:
+def odometry(graph: PoseGraph) -> PoseGraph:
     """Chain the measurements between nodes with consecutive ids.
 
-    In a list of ids with gaps, neighbors in the list count as consecutive. Where the chain is
-    broken, its pieces are joined by the tree with the fewest other edges, and the notes tell how
-    many.
+    In a list of ids with gaps, neighbors in the list count as consecutive; of several edges between
+    two consecutive nodes the first in the list is taken. Where the chain is interrupted, its pieces
+    are joined by the tree with the fewest other edges, and the notes tell how many.
     """
-    roots, poses, notes = roots_of(graph, root)
-    pairs = graph.edge_indices
-    consecutive = np.abs(pairs[:, 0] - pairs[:, 1]) == 1
-    placed, used = _core.place_along_tree(
-        graph.topology, roots, consecutive, graph.measurements, poses
-    )
-    bridges = used[~consecutive[used]]
+    roots, poses, notes = gauge_poses(graph)
+    chain = odometry_edges(graph)
+    placed, used = _core.place_along_tree(graph.topology, roots, chain, graph.measurements, poses)
+    bridges = used[~chain[used]]
     if len(bridges):
         first = bridges.min()
         notes.append(
-            f"the odometry chain is broken: {len(bridges)} other edges bridge it, such as "
+            f"the odometry chain is interrupted: {len(bridges)} other edges bridge it, such as "
             f"{graph.edges[first, 0]} -> {graph.edges[first, 1]}"
         )
     return graph.with_poses(placed, notes=notes)
+
+
+def odometry_edges(graph: PoseGraph) -> Flags:
+    """Return which edges are odometry, (m,): the first one between each pair of consecutive ids."""
+    lower, upper = np.sort(graph.edge_indices, axis=1).T
+    consecutive = np.flatnonzero(upper - lower == 1)
+    _, first = np.unique(lower[consecutive], return_index=True)
+    chain = np.zeros(len(lower), np.bool_)
+    chain[consecutive[first]] = True
+    return chain

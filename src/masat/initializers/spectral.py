@@ -7,29 +7,28 @@ import numpy as np
 from masat import _core, linear
 from masat.arrays import Floats, Ids, Indices
 from masat.graph import PoseGraph
-from masat.initializers.roots import anchored, rooted
+from masat.information import rotation_weights
+from masat.initializers.roots import gauge_poses
 from masat.optimizers.translations import solve_translations
 
-_MOST_STEPS = 100
+_MAX_STEPS = 100
 
-# Vectors shorter by this are but rounding; so are, squared, the differences of nearly equal ones.
+# Vectors shorter by this factor are rounding; so are, squared, differences of nearly equal ones.
 _LEAST = 1e-12
 _INDEPENDENT = 1e-8
 
 
-def spectral(graph: PoseGraph, root: int | None = None, *, tolerance: float = 1e-6) -> PoseGraph:
+def spectral(graph: PoseGraph, *, tolerance: float = 1e-6) -> PoseGraph:
     """Take all rotations at once from eigenvectors, and then solve for all positions.
 
-    Minimizes the weighted |R_j - R_i R|^2 over matrices as the chordal start does; but where that
-    holds a node, and lets the matrices shrink far from it, here their columns are orthonormal over
-    the whole component. Then come the nearest rotations, and the positions that minimize chi2.
+    Minimizes the weighted |R_j - R_i R|^2 over matrices as the chordal guess does. That one fixes a
+    node and lets the matrices shrink far from it; here their columns are orthonormal over the whole
+    component. Then come the nearest rotations, and the positions that minimize chi2.
 
     Parameters
     ----------
     graph : PoseGraph
         The graph.
-    root : int, optional
-        Id of the node placed at the identity.
     tolerance : float
         The eigenvectors are found when a step of inverse iteration turns the space that they span
         by a sine no greater. All steps share one factorization. Noise may concentrate the vectors:
@@ -38,8 +37,8 @@ def spectral(graph: PoseGraph, root: int | None = None, *, tolerance: float = 1e
     Returns
     -------
     PoseGraph
-        The graph with poses. Of several fixed nodes in a component the rotations to each other
-        stand also in the eigenvectors: these are then the best of that kind.
+        The graph with poses. Where a component has several fixed nodes, the eigenvectors are the
+        best of those that agree with the fixed nodes' rotations to each other.
 
     Notes
     -----
@@ -47,13 +46,13 @@ def spectral(graph: PoseGraph, root: int | None = None, *, tolerance: float = 1e
     2011; Doherty, Rosen, Leonard, Performance guarantees for spectral initialization in rotation
     averaging and pose-graph SLAM, ICRA 2022.
     """
-    poses, notes = anchored(graph)
-    known = linear.rotations(poses)
+    _, poses, notes = gauge_poses(graph)
+    known = linear.transposed_rotations(poses)
     laplacian = _Laplacian(graph, known)
     unknowns, turned = laplacian.lowest_vectors(tolerance)
     if turned > tolerance:
         notes.append(
-            f"the eigenvectors were not found in {_MOST_STEPS} steps: the last still turned them "
+            f"the eigenvectors were not found in {_MAX_STEPS} steps: the last still turned them "
             f"by {turned:.2g}"
         )
     for own, lead in zip(laplacian.nodes, laplacian.leads, strict=True):
@@ -63,24 +62,24 @@ def spectral(graph: PoseGraph, root: int | None = None, *, tolerance: float = 1e
         turn = _core.rotation_matrices(fit)[0]
         unknowns[own] = unknowns[own] @ turn
     guess = linear.nearest_rotations(graph, poses, unknowns)
-    return rooted(graph, solve_translations(graph, guess), root, notes)
+    return graph.with_poses(solve_translations(graph, guess), notes=notes)
 
 
 class _Laplacian:
-    """The form weight |R_j - R_i R|^2 of vectors that at the anchors are a multiple of the known.
+    """The form weight |R_j - R_i R|^2 of vectors that are a multiple of the known ones at the gauge.
 
-    Tables of vectors are (n, d, k); each component has vectors of its own, and its own multiple:
-    with one anchor, any vectors.
+    Tables of vectors are (n, d, k). Each component has vectors and a multiple of its own; with one
+    gauge node any vectors are such a multiple.
     """
 
     def __init__(self, graph: PoseGraph, known: Floats) -> None:
         self._graph = graph
         self._known = known
-        self._anchors = graph.index(graph.gauge)
-        labels = graph.components[self._anchors]
-        self.leads = self._anchors[np.unique(labels, return_index=True)[1]]
+        self._gauge = graph.index(graph.gauge)
+        labels = graph.components[self._gauge]
+        self.leads = self._gauge[np.unique(labels, return_index=True)[1]]
         self._lead = self.leads[labels]
-        self._weight = linear.rotation_weights(graph)
+        self._weight = rotation_weights(graph.information)
         self._back = _core.rotation_matrices(graph.measurements).transpose(0, 2, 1)
         self.nodes = _groups(graph.components)
         self._edges = _groups(graph.components[graph.edge_indices[:, 0]], len(self.nodes))
@@ -90,22 +89,22 @@ class _Laplacian:
 
         Inverse iteration goes from X to inv(L) X, but L is singular without noise. With H, of least
         energy where the multiple is 1, inv(L) X inv(H'X) H'LH spans the same; its multiple is 1,
-        and what it minimizes with the anchors held is regular. A step takes the best of the space
+        and with the gauge nodes fixed the problem that it solves is regular. A step takes the best of the space
         of that, of X and of the X before. Source: Knyazev, Toward the optimal preconditioned
         eigensolver, SISC 2001.
         """
-        form = linear.rotation_form(self._graph, self._weight)
-        minimizer = linear.Minimizer(self._graph, form, self._known)
-        chordal = minimizer(np.zeros_like(self._known))
+        blocks = linear.rotation_blocks(self._graph, self._weight)
+        problem = linear.LinearProblem(self._graph, blocks, self._known)
+        chordal = problem.solve()
         energies = self._energies(chordal)
         x = self._best(chordal)
         aside = np.zeros_like(x)
-        pull = np.empty_like(x)
-        for _ in range(_MOST_STEPS):
+        rhs = np.empty_like(x)
+        for _ in range(_MAX_STEPS):
             for own, energy in zip(self.nodes, energies, strict=True):
                 inner = _product(chordal[own], x[own])
-                pull[own] = x[own] @ np.linalg.solve(inner, energy)
-            step = minimizer(pull)
+                rhs[own] = x[own] @ np.linalg.solve(inner, energy)
+            step = problem.solve(rhs)
             for own in self.nodes:
                 step[own] = step[own] @ np.linalg.inv(_product(x[own], step[own]))
             ahead = step - x  # and at right angles to x
@@ -137,7 +136,7 @@ class _Laplacian:
             best[own] = best[own] @ _orthonormal(_product(best[own], best[own]), d)
         # Else rounding grows: away from one multiple there is less energy.
         multiple = self._known[self._lead].transpose(0, 2, 1) @ best[self._lead]
-        best[self._anchors] = self._known[self._anchors] @ multiple
+        best[self._gauge] = self._known[self._gauge] @ multiple
         return best
 
 

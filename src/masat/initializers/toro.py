@@ -5,10 +5,10 @@ from __future__ import annotations
 from masat import _core
 from masat.errors import InitializationError
 from masat.graph import PoseGraph
-from masat.initializers.roots import roots_of
+from masat.initializers.roots import gauge_poses
 
 
-def toro(graph: PoseGraph, root: int | None = None, *, sweeps: int = 10) -> PoseGraph:
+def toro(graph: PoseGraph, *, sweeps: int = 10) -> PoseGraph:
     """Improve the breadth-first tree by sweeps of gradient descent over its links.
 
     Each edge in turn spreads its error over the path through the tree between its two nodes:
@@ -20,8 +20,6 @@ def toro(graph: PoseGraph, root: int | None = None, *, sweeps: int = 10) -> Pose
     ----------
     graph : PoseGraph
         The graph.
-    root : int, optional
-        Id of the node placed at the identity.
     sweeps : int
         A sweep costs the sum of the lengths of those paths. On the median of 28 public graphs ten
         leave a hundredth of the chi2 of the tree. Three leave more and thirty less, but after all
@@ -51,7 +49,7 @@ def toro(graph: PoseGraph, root: int | None = None, *, sweeps: int = 10) -> Pose
     """
     if sweeps < 0:
         raise InitializationError(f"the number of sweeps must not be negative, got {sweeps}")
-    roots, poses, notes = roots_of(graph, root)
+    roots, poses, notes = gauge_poses(graph)
     placed = _core.place_by_toro(
         graph.topology, roots, graph.measurements, graph.information, poses, sweeps
     )

@@ -1,77 +1,114 @@
-"""Whether a solution is the global optimum."""
+"""Whether the poses of a graph are the global optimum."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
 
-import numpy as np
-
-from masat.arrays import Floats
-from masat.errors import OptimizationError
+from masat import _core
+from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
-from masat.optimality import relaxation
+from masat.optimality.bounds import TIGHT, chi2_bound, lifted_bound
 from masat.optimality.search import lower_minimum
-from masat.optimizers import optimize
+from masat.optimizers import Result, optimize
+from masat.optimizers.equations import normal_equations, rounding_level
+from masat.progress import Progress
 
-# chi2 this much lower, relatively, is another minimum; as between two solvers.
-_SAME = 1e-6
+# Times the chi2 that the rounding of coordinates makes: chi2 below it is zero to rounding.
+_ROUNDING_FACTOR = 100.0
+
+Status: TypeAlias = Literal["optimal", "refuted", "undecided"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Certificate:
     """What is known about how good the poses of a graph are.
 
     Attributes
     ----------
-    certified : bool
-        Whether the poses are proven to be globally optimal, in the sense of `message`.
+    status : "optimal", "refuted" or "undecided"
+        Whether chi2 of the poses is proven to be the lowest of all, to within `gap`; or poses of
+        lower chi2 are known; or neither.
     message : str
         What was found, in a sentence.
-    chi2, optimum : float
-        chi2 of the poses, and the lowest that an optimizer reached from them or from the minimum
-        of the chordal cost.
-    cost, bound : float
-        Chordal cost of that minimum, and a number that no poses' chordal cost lies below.
-    exact : bool
-        Whether the chordal cost is chi2 itself: in 3D, with isotropic information.
+    chi2 : float
+        chi2 of the poses.
+    bound : float
+        No poses have a lower chi2.
+    optimum : float
+        The lowest chi2 that is known.
     better : PoseGraph or None
         The graph at poses of lower chi2, if such were found.
     """
 
-    certified: bool
+    status: Status
     message: str
     chi2: float
-    optimum: float
-    cost: float
     bound: float
-    exact: bool
+    optimum: float
     better: PoseGraph | None
 
     @property
+    def certified(self) -> bool:
+        """Whether the poses are proven to be globally optimal: chi2 itself, to within `gap`."""
+        return self.status == "optimal"
+
+    @property
     def gap(self) -> float:
-        """How far, as a share of the cost, the bound lies below it."""
-        return (self.cost - self.bound) / self.cost if self.cost > self.bound else 0.0
+        """How far below chi2 of the poses the bound lies, as a fraction of it."""
+        return (self.chi2 - self.bound) / self.chi2 if self.chi2 > self.bound else 0.0
+
+    def __repr__(self) -> str:
+        return f"Certificate({self.status}: chi2 {self.chi2:.6g}, bound {self.bound:.6g})"
+
+    def _repr_html_(self) -> str:
+        from masat.display import certificate_html
+
+        return certificate_html(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the figures without the better graph, as JSON and saved results hold them."""
+        return {
+            "status": self.status,
+            "certified": self.certified,
+            "message": self.message,
+            "chi2": self.chi2,
+            "bound": self.bound,
+            "gap": self.gap,
+            "optimum": self.optimum,
+        }
 
 
-def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int = 1) -> Certificate:
+def certify(
+    graph: PoseGraph,
+    *,
+    search: bool = True,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    equations: _core.NormalEquations | None = None,
+) -> Certificate:
     """Tell whether the poses of a graph, from whatever program, are globally optimal.
 
-    The proof is of the chordal cost (see `masat.optimality.relaxation`): its minimum near the poses is global
-    if the matrix of its Lagrangian is positive semidefinite, which one factorization shows, and
-    the higher ranks tighten the bound. The poses share that proof if an optimizer leads from it to
-    the same chi2 and from them no lower.
+    The proof is of chi2 itself, in 2D and 3D and for any information (`bounds.chi2_bound`). It
+    takes one factorization at the minimum near the poses. Poses that lie above this minimum, or
+    above another one that is found, are refuted.
 
     Parameters
     ----------
     graph : PoseGraph
         A graph with the poses in question.
-    lift : bool
-        Whether to go to higher ranks where the poses' own leaves a gap, and to look there for a
-        lower minimum (`masat.optimality.search`): dear.
+    search : bool
+        Whether to search for a lower minimum, and for a better bound at a higher rank, where there
+        is no proof: expensive.
     seed : int
-        Of the noise that opens higher ranks.
-    threads : int
-        Of the optimizer.
+        Seed of the random noise that is added when a rank is raised.
+    threads : int, optional
+        Threads that factorize; see `masat.optimize`.
+    progress : Progress, optional
+        What reports the stages and limits the time.
+    equations : NormalEquations, optional
+        Those of the graph, to be used again.
 
     Returns
     -------
@@ -84,50 +121,68 @@ def certify(graph: PoseGraph, *, lift: bool = True, seed: int = 0, threads: int 
     """
     if graph.poses is None:
         raise OptimizationError("the graph has no poses: there is nothing to certify")
-    own = optimize(graph, threads=threads)
-    assert own.graph.poses is not None
-    solution = relaxation.solve(own.graph, own.graph.poses, lift=lift, seed=seed)
-    other = optimize(graph.with_poses(solution.poses), threads=threads)
-    best = min(own, other, key=lambda result: result.chi2)
-    if lift and not solution.certified:
-        best = min(best, lower_minimum(best.graph, seed=seed), key=lambda result: result.chi2)
-    same = _SAME * best.chi2 + solution.nothing
-    lower = own.initial_chi2 - best.chi2 > same
-    certified = solution.certified and not lower and other.chi2 - best.chi2 <= same
-    exact = _exact(graph)
-    if lower:
-        found = "the same minimum" if own.chi2 - best.chi2 <= same else "another minimum"
-        message = (
-            f"not optimal: {found} has chi2 {best.chi2:.8g}, lower than {own.initial_chi2:.8g}"
+    progress = progress or Progress()
+    initial = graph.chi2
+    zero = _ROUNDING_FACTOR * rounding_level(graph)
+    if initial <= zero:
+        return Certificate(
+            "optimal", "globally optimal: chi2 is zero to rounding", initial, 0.0, initial, None
         )
-    elif not certified:
-        message = "not decided: no lower minimum was found, and no proof that there is none"
-    elif exact:
-        message = "globally optimal: no poses have a chi2 that is lower by more than the gap"
+    try:
+        return _certify(graph, initial, zero, search, seed, threads, progress, equations)
+    except (OptimizationError, InitializationError) as error:
+        return Certificate("undecided", f"not decided: {error}", initial, 0.0, initial, None)
+
+
+def _certify(
+    graph: PoseGraph,
+    initial: float,
+    zero: float,
+    search: bool,
+    seed: int,
+    threads: int | None,
+    progress: Progress,
+    equations: _core.NormalEquations | None,
+) -> Certificate:
+    if equations is None:
+        equations = normal_equations(graph, threads)
+
+    def minimum(of: PoseGraph) -> Result:
+        return optimize(of, relative_tolerance=1e-12, equations=equations, progress=progress)
+
+    def proven(result: Result) -> bool:
+        return result.chi2 - bound <= max(TIGHT / 2 * result.chi2, zero)
+
+    progress.tell("certifying", initial)
+    best = minimum(graph)
+    bound = chi2_bound(best.graph, best.chi2)
+    first = best.chi2
+    if search and not proven(best) and not progress.over:
+        progress.tell("bounding chi2 at a higher rank", best.chi2)
+        higher, rounded = lifted_bound(best.graph, best.chi2, seed=seed)
+        bound = max(bound, higher)
+        if rounded is not None and not progress.over:
+            best = min(best, minimum(rounded), key=lambda result: result.chi2)
+        if not proven(best) and not progress.over:
+            found = lower_minimum(best.graph, seed=seed, progress=progress, equations=equations)
+            best = min(best, found, key=lambda result: result.chi2)
+        if best.chi2 < first:
+            bound = max(bound, chi2_bound(best.graph, best.chi2))
+    bound = min(bound, best.chi2)
+    same = TIGHT / 2 * best.chi2 + zero
+    if initial - best.chi2 > same:
+        which = "the same minimum" if first - best.chi2 <= same else "another minimum"
+        status: Status = "refuted"
+        message = f"not optimal: {which} has chi2 {best.chi2:.8g}, lower than {initial:.8g}"
+    elif proven(best):
+        status = "optimal"
+        gap = (initial - bound) / initial
+        message = f"globally optimal: no poses have a chi2 that is lower by more than {gap:.1g} of it"
     else:
+        status = "undecided"
         message = (
-            "globally optimal for the chordal cost, which stands for chi2: no poses have a cost "
-            "that is lower by more than the gap, and the optimizers lead from there to these poses"
+            f"not decided: no lower minimum was found, and the proof shows only that no poses have "
+            f"a chi2 below {bound:.6g}"
         )
-    return Certificate(
-        certified=certified,
-        message=message,
-        chi2=own.initial_chi2,
-        optimum=best.chi2,
-        cost=solution.cost,
-        bound=solution.bound,
-        exact=exact,
-        better=best.graph if lower else None,
-    )
-
-
-def _exact(graph: PoseGraph) -> bool:
-    """Whether the chordal cost is chi2 itself."""
-    if graph.dimension == 2:
-        return False
-
-    def isotropic(blocks: Floats) -> bool:
-        return bool(np.allclose(blocks, blocks[:, :1, :1] * np.eye(3), rtol=1e-9, atol=0))
-
-    w = graph.information
-    return isotropic(w[:, :3, :3]) and isotropic(w[:, 3:, 3:]) and not w[:, :3, 3:].any()
+    better = best.graph if status == "refuted" else None
+    return Certificate(status, message, initial, bound, min(best.chi2, initial), better)

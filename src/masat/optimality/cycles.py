@@ -1,7 +1,7 @@
-"""Whole turns around weak loops: what most local minima of a pose graph differ in.
+"""Winding numbers of ambiguous cycles, in which most local minima of a pose graph differ.
 
-Along a loop the measured rotations must add up to whole turns, and how many these are tells most
-minima apart: from one to the next, the edges of a loop share another 2 pi.
+Along a cycle the measured rotations must add up to a multiple of 2 pi. From one local minimum to
+the next, the edges of a cycle mostly share another 2 pi.
 """
 
 from __future__ import annotations
@@ -15,127 +15,131 @@ import numpy as np
 from masat import _core, lie, linear
 from masat.arrays import Flags, Floats, Indices
 from masat.graph import PoseGraph
+from masat.information import rotation_weights
+from masat.residuals import residuals
 
 _TURN = 2 * np.pi
-# Of a turn, what an edge may keep for itself: with half of it, it is back where it was.
-_MOST_SLACK = 0.5
-# What a turn must promise, seen from the rotations alone: positions always add to it. In units of
-# chi2.
-_PROMISE = 3.0
-# Edges that take more than this share of what the loop's own edge takes are of the same loop.
-_SHARED = 0.5
-# Radians: nodes that turn by less hold still while a turn is tried.
-_STILL = 0.2
+# An edge that keeps more than this fraction of a shift by 2 pi gains nothing from it.
+_MAX_KEPT = 0.5
+# chi2 that a shift must promise to gain from the rotations alone; positions always add to the cost.
+_MIN_GAIN = 3.0
+# Edges that take more than this fraction of what the cycle's own edge takes are of the same cycle.
+_SAME_CYCLE = 0.5
+# Radians: nodes that rotate by less are fixed while a shift is tried.
+_MIN_ROTATION = 0.2
 
 
-class Loop(NamedTuple):
-    """The loops through an edge, and how they share a turn.
+class Cycle(NamedTuple):
+    """The cycles through an edge, and how they share a shift by 2 pi.
 
     Attributes
     ----------
     edge : int
-    error : float
-        Of its rotation, in radians.
+        Index of the edge.
+    residual : float
+        Angle of its rotation residual, in radians.
     axis : ndarray, () or (3,)
-        About which, in the world; in 2D its sign.
-    turns : ndarray, (n,)
-        By how much each node turns for the least change of all rotations, in radians.
+        Axis of that residual in the world; in 2D its sign.
+    rotations : ndarray, (n,)
+        By how much each node rotates for the least change of all rotations, in radians.
     """
 
     edge: int
-    error: float
+    residual: float
     axis: Floats
-    turns: Floats
+    rotations: Floats
 
 
-class WeakLoops:
-    """Tells around which loops of a graph another turn promises a lower chi2.
+class AmbiguousCycles:
+    """Finds the cycles of a graph that promise a lower chi2 when they are shifted by 2 pi.
 
-    Were rotations all there is, it would cost 4 pi w (pi s - |e|): w is the weight of an edge of
-    the loop, e the error of its rotation, and s the share that it keeps of a turn, of which the
-    rest of the loop takes the others. Source: Carlone and Censi, From angular manifolds to the
-    integer lattice, T-RO 2014, who search for these integers, all at once and for rotations alone.
+    If rotations were all there is, a shift would cost 4 pi w (pi s - |e|): w is the weight of an
+    edge of the cycle, e the angle of its residual, and s the fraction of the shift that it keeps
+    while the rest of the cycle takes the remainder. Source: Carlone and Censi, From angular
+    manifolds to the integer lattice, T-RO 2014, who search for all winding numbers at once and for
+    rotations alone.
 
     Parameters
     ----------
     graph : PoseGraph
+        The graph.
     unit : float
         The chi2 that counts as one.
     """
 
     def __init__(self, graph: PoseGraph, unit: float = 1.0) -> None:
         self._graph = graph
-        self._promise = _PROMISE * unit
+        self._min_gain = _MIN_GAIN * unit
         # chi2 is this weight times the square of the angle.
-        self._weight = 2 * linear.rotation_weights(graph)
+        self._weight = 2 * rotation_weights(graph.information)
         self._free = graph.elimination.free_nodes()
-        self._place = np.full(len(graph.ids), -1, np.int32)
-        self._place[self._free] = np.arange(len(self._free), dtype=np.int32)
+        self._free_index = np.full(len(graph.ids), -1, np.int32)
+        self._free_index[self._free] = np.arange(len(self._free), dtype=np.int32)
         block = self._weight[:, None, None]
-        still = np.zeros((len(graph.ids), 1, 1))
-        self._minimizer = linear.Minimizer(graph, linear.Form(block, -block, block), still)
+        zeros = np.zeros((len(graph.ids), 1, 1))
+        self._problem = linear.LinearProblem(graph, linear.EdgeBlocks(block, -block, block), zeros)
 
-    def response(self, edge: int) -> Floats:
-        """Return by how much each node turns for another turn at an edge, (n,), in radians."""
+    def rotations(self, edge: int) -> Floats:
+        """Return by how much each node rotates for a shift by 2 pi at an edge, (n,), in radians."""
         i, j = self._graph.edge_indices[edge]
-        pull = np.zeros((len(self._graph.ids), 1, 1))
-        pull[j] = _TURN * self._weight[edge]
-        pull[i] = -pull[j]
-        return self._minimizer(pull).ravel()
+        linear_term = np.zeros((len(self._graph.ids), 1, 1))
+        linear_term[j] = _TURN * self._weight[edge]
+        linear_term[i] = -linear_term[j]
+        return self._problem.solve(linear_term).ravel()
 
     @cached_property
-    def _slack(self) -> Floats:
-        """Return what each edge keeps of a turn of its own, (m,), from 0 to 1."""
-        i, j = self._place[self._graph.edge_indices.T]
+    def _kept(self) -> Floats:
+        """Return the fraction that each edge keeps of a shift of its own, (m,), from 0 to 1."""
+        i, j = self._free_index[self._graph.edge_indices.T]
         every = np.arange(len(self._free), dtype=np.int32)
-        own = np.append(self._minimizer.matrix.inverse(every, every).ravel(), 0.0)
+        own = np.append(self._problem.matrix.inverse(every, every).ravel(), 0.0)
         inside = (i >= 0) & (j >= 0)
         joint = np.zeros(len(i))
-        joint[inside] = self._minimizer.matrix.inverse(i[inside], j[inside]).ravel()
-        slack: Floats = 1 - self._weight * (own[i] + own[j] - 2 * joint)
-        return slack
+        joint[inside] = self._problem.matrix.inverse(i[inside], j[inside]).ravel()
+        kept: Floats = 1 - self._weight * (own[i] + own[j] - 2 * joint)
+        return kept
 
-    def weak_edges(self, poses: Floats) -> Indices:
-        """Return the edges of the loops that promise something, the most promising first."""
-        cost = self._cost(_errors(self._graph, poses)[0])
-        slack = self._slack
-        weak = np.flatnonzero((cost < -self._promise) & (slack < _MOST_SLACK) & (slack > 1e-9))
-        order: Indices = weak[np.argsort(cost[weak], kind="stable")].astype(np.int32)
+    def edges(self, poses: Floats) -> Indices:
+        """Return the edges of the ambiguous cycles, the most promising first."""
+        cost = self._cost(_rotation_residuals(self._graph, poses)[0])
+        kept = self._kept
+        found = np.flatnonzero((cost < -self._min_gain) & (kept < _MAX_KEPT) & (kept > 1e-9))
+        order: Indices = found[np.argsort(cost[found], kind="stable")].astype(np.int32)
         return order
 
-    def promising(self, poses: Floats) -> Iterator[Loop]:
-        """Yield the loops that promise something, each once, by an edge that stands for it."""
+    def at(self, poses: Floats) -> Iterator[Cycle]:
+        """Yield the ambiguous cycles, each once, by one of its edges, the most promising first."""
         i, j = self._graph.edge_indices.T
-        error, axis = _errors(self._graph, poses)
-        of_a_better = np.zeros(len(error), np.bool_)
-        for edge in self.weak_edges(poses):
-            if of_a_better[edge]:
+        residual, axis = _rotation_residuals(self._graph, poses)
+        seen = np.zeros(len(residual), np.bool_)
+        for edge in self.edges(poses):
+            if seen[edge]:
                 continue
-            turns = self.response(edge)
-            taken = turns[j] - turns[i]
+            rotations = self.rotations(edge)
+            taken = rotations[j] - rotations[i]
             taken[edge] -= _TURN
-            of_a_better |= np.abs(taken) > _SHARED * abs(taken[edge])
-            yield Loop(int(edge), float(error[edge]), axis[edge], turns)
+            seen |= np.abs(taken) > _SAME_CYCLE * abs(taken[edge])
+            yield Cycle(int(edge), float(residual[edge]), axis[edge], rotations)
 
-    def _cost(self, error: Floats) -> Floats:
-        cost: Floats = 2 * _TURN * self._weight * (np.pi * self._slack - error)
+    def _cost(self, residual: Floats) -> Floats:
+        cost: Floats = 2 * _TURN * self._weight * (np.pi * self._kept - residual)
         return cost
 
 
-def _errors(graph: PoseGraph, poses: Floats) -> tuple[Floats, Floats]:
-    """Return the angles of the edges' rotation errors, (m,), and their axes in the world."""
+def _rotation_residuals(graph: PoseGraph, poses: Floats) -> tuple[Floats, Floats]:
+    """Return the angles of the edges' rotation residuals, (m,), and their axes in the world."""
     d = graph.dimension
-    start, end = (poses[k] for k in graph.edge_indices.T)
-    e = lie.local(graph.measurements, lie.between(start, end))[:, d:]
+    e = residuals(graph, poses)[:, d:]
     if d == 2:
         return np.abs(e[:, 0]), np.where(e < 0, -1.0, 1.0)
     sine = np.sqrt(np.square(e).sum(axis=1))
+    end = poses[graph.edge_indices[:, 1]]
     axis = _core.rotation_matrices(end) @ (e / np.maximum(sine, 1e-300)[:, None])[..., None]
     return 2 * np.arcsin(np.minimum(sine, 1.0)), axis[..., 0]
 
 
-def turned(poses: Floats, axis: Floats, angles: Floats) -> Floats:
-    """Return poses turned on the spot about an axis of the world."""
+def rotated(poses: Floats, axis: Floats, angles: Floats) -> Floats:
+    """Return poses rotated on the spot by angles about an axis of the world."""
     d = 2 if poses.shape[1] == 3 else 3
     steps = np.zeros((len(poses), lie.DOF[d]))
     if d == 2:
@@ -147,15 +151,15 @@ def turned(poses: Floats, axis: Floats, angles: Floats) -> Floats:
     return lie.retract(poses, steps)
 
 
-def stilled(angles: Floats, own: Flags) -> Floats:
-    """Return angles about the mean of some nodes, so that as many as possible hold still."""
-    mean = np.exp(1j * angles[own]).mean()
-    # Where no way is preferred, that of rounding errors must not be.
-    away = np.angle(mean) if abs(mean) > 1e-9 else 0.0
-    return np.where(own, angles - away, 0.0)
+def relative_to_mean(angles: Floats, nodes: Flags) -> Floats:
+    """Return the angles of some nodes less their mean, so that few nodes rotate; others get 0."""
+    mean = np.exp(1j * angles[nodes]).mean()
+    # A mean of nearly zero has no direction: rounding must not choose one.
+    offset = np.angle(mean) if abs(mean) > 1e-9 else 0.0
+    return np.where(nodes, angles - offset, 0.0)
 
 
-def apart(angles: Floats) -> Flags:
-    """Return which nodes angles turn away from where they are."""
-    apart: Flags = np.abs(angles - _TURN * np.round(angles / _TURN)) > _STILL
-    return apart
+def rotating_nodes(angles: Floats) -> Flags:
+    """Return which nodes, (n,), the angles rotate away from where they are."""
+    rotating: Flags = np.abs(angles - _TURN * np.round(angles / _TURN)) > _MIN_ROTATION
+    return rotating

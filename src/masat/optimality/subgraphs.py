@@ -1,4 +1,4 @@
-"""Parts of a graph, with the rest held still."""
+"""Parts of a graph that are optimized while the rest is fixed."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from typing import NamedTuple
 import numpy as np
 
 from masat import _core
-from masat.arrays import Flags, Floats, Ids
+from masat.arrays import Flags, Floats
 from masat.graph import PoseGraph
 
 
-class Region(NamedTuple):
-    """Some nodes of a graph, free to move, and those that edges join to them, held still.
+class Subgraph(NamedTuple):
+    """Some nodes of a graph, free to move, and their neighbors, fixed.
 
     Attributes
     ----------
     graph : PoseGraph
-        Its ids are the places of its nodes, k of them, in the whole.
+        Its ids are the indices of its nodes, k of them, in the whole graph.
     inside : ndarray of bool, (k,)
         Which of its nodes are free.
     """
@@ -27,59 +27,42 @@ class Region(NamedTuple):
     inside: Flags
 
 
-class Surroundings:
-    """Tells which edges and nodes lie around some nodes of a graph."""
+def neighborhood(graph: PoseGraph, nodes: Flags, steps: int = 1) -> Flags:
+    """Return the nodes, (n,), that are at most so many edges away from some nodes."""
+    out = nodes.copy()
+    for _ in range(steps):
+        out[graph.edge_indices[graph.topology.incident_edges(out)]] = True
+    return out
 
-    def __init__(self, graph: PoseGraph) -> None:
-        self.graph = graph
-        m, n = len(graph.edges), len(graph.ids)
-        ends = graph.edge_indices.T.ravel()
-        order = np.argsort(ends, kind="stable")
-        self._edges = order % max(m, 1)
-        self._start = np.searchsorted(ends[order], np.arange(n + 1))
 
-    def edges_at(self, nodes: Flags) -> Ids:
-        """Return the edges that touch some nodes, ascending."""
-        places = np.flatnonzero(nodes)
-        count = self._start[places + 1] - self._start[places]
-        first = self._start[places] - (np.cumsum(count) - count)
-        return np.unique(self._edges[np.repeat(first, count) + np.arange(count.sum())])
+def subgraph(graph: PoseGraph, poses: Floats, inside: Flags) -> Subgraph:
+    """Return the subgraph in which some nodes are free, at poses of the whole graph."""
+    edges = graph.topology.incident_edges(inside)
+    ends = graph.edge_indices[edges].astype(np.int64)
+    nodes = np.unique(ends)
+    return Subgraph(
+        PoseGraph(
+            ids=nodes,
+            poses=poses[nodes],
+            edges=ends,
+            measurements=np.ascontiguousarray(graph.measurements[edges]),
+            information=np.ascontiguousarray(graph.information[edges]),
+            fixed=nodes[~inside[nodes]],
+        ),
+        inside[nodes],
+    )
 
-    def around(self, nodes: Flags, steps: int = 1) -> Flags:
-        """Return the nodes that lie at most so many edges from some."""
-        out = nodes.copy()
-        for _ in range(steps):
-            out[self.graph.edge_indices[self.edges_at(out)]] = True
-        return out
 
-    def region(self, poses: Floats, inside: Flags) -> Region:
-        """Return the region of some nodes, at poses of the whole graph."""
-        graph = self.graph
-        edges = self.edges_at(inside)
-        nodes = np.unique(graph.edge_indices[edges]).astype(np.int64)
-        return Region(
-            PoseGraph(
-                ids=nodes,
-                poses=poses[nodes],
-                edges=graph.edge_indices[edges].astype(np.int64),
-                measurements=np.ascontiguousarray(graph.measurements[edges]),
-                information=np.ascontiguousarray(graph.information[edges]),
-                fixed=nodes[~inside[nodes]],
-            ),
-            inside[nodes],
-        )
-
-    def parts(self, nodes: Flags) -> Iterator[Flags]:
-        """Yield some nodes, those together that edges between them join."""
-        graph = self.graph
-        edges = self.edges_at(nodes)
-        edges = edges[nodes[graph.edge_indices[edges]].all(axis=1)]
-        places = np.flatnonzero(nodes)
-        if len(places) == 0:
-            return
-        ends = np.searchsorted(places, graph.edge_indices[edges]).astype(np.int32)
-        part_of = _core.Topology(len(places), np.ascontiguousarray(ends)).components()
-        for part in range(part_of.max() + 1):
-            own = np.zeros_like(nodes)
-            own[places[part_of == part]] = True
-            yield own
+def connected_parts(graph: PoseGraph, nodes: Flags) -> Iterator[Flags]:
+    """Yield the parts of some nodes, (n,) each, that edges among them connect."""
+    edges = graph.topology.incident_edges(nodes)
+    edges = edges[nodes[graph.edge_indices[edges]].all(axis=1)]
+    indices = np.flatnonzero(nodes)
+    if len(indices) == 0:
+        return
+    ends = np.searchsorted(indices, graph.edge_indices[edges]).astype(np.int32)
+    part_of = _core.Topology(len(indices), np.ascontiguousarray(ends)).components()
+    for part in range(part_of.max() + 1):
+        own = np.zeros_like(nodes)
+        own[indices[part_of == part]] = True
+        yield own

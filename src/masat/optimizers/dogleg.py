@@ -17,7 +17,7 @@ from masat.optimizers.termination import (
     length,
 )
 
-_LEAST_RADIUS = 1e-14
+_MIN_RADIUS = 1e-14
 
 
 def dogleg(
@@ -26,8 +26,8 @@ def dogleg(
     """Take the Gauss-Newton step as far as a trust region allows, bent to the steepest descent.
 
     One factorization an iteration, however often the region shrinks. Lengths are in the metric of
-    the diagonal of H, blind to meters and radians. Sources: Powell, A new algorithm for
-    unconstrained optimization, 1970; Nocedal and Wright, Numerical Optimization, 2006, algorithm
+    the diagonal of H, which needs no scale between meters and radians. Sources: Powell, A new
+    algorithm for unconstrained optimization, 1970; Nocedal and Wright, Numerical Optimization, 2006, algorithm
     4.1 and section 4.1.
     """
     start = perf_counter()
@@ -37,26 +37,26 @@ def dogleg(
         rhs = equations.rhs()
         if termination.flat(rhs):
             return Outcome(poses, chi2, StopReason.GRADIENT)
-        broken = equations.factorize(np.zeros_like(rhs))
-        if broken >= 0:
-            return Outcome(poses, chi2, StopReason.SINGULAR, broken)
+        failed = equations.factorize(np.zeros_like(rhs))
+        if failed >= 0:
+            return Outcome(poses, chi2, StopReason.SINGULAR, failed)
         scale = np.sqrt(equations.diagonal())
         newton, cauchy, h_cauchy = _corners(equations, rhs, scale)
         farthest = length(scale * newton)
         while True:
-            share, bend = _path(scale * newton, scale * cauchy, radius)
-            step = share * newton + bend * cauchy
+            fraction, bend = _path(scale * newton, scale * cauchy, radius)
+            step = fraction * newton + bend * cauchy
             # H newton = rhs: the model needs no product of its own.
-            bent = share * rhs + bend * h_cauchy
+            bent = fraction * rhs + bend * h_cauchy
             predicted = float((step * (2 * rhs - bent)).sum())
             moved = equations.retract(poses, step)
             after = equations.chi2(moved)
             if after < chi2:
                 break
-            if share == 1 and (reason := termination.change(chi2, chi2 - predicted)):
+            if fraction == 1 and (reason := termination.change(chi2, chi2 - predicted)):
                 return Outcome(poses, chi2, reason)
             radius = length(scale * step) / 4
-            if not radius > _LEAST_RADIUS * farthest:
+            if not radius > _MIN_RADIUS * farthest:
                 return Outcome(poses, chi2, StopReason.STALLED)
         gain = (chi2 - after) / predicted
         went = length(scale * step)
@@ -67,8 +67,8 @@ def dogleg(
         before, poses = chi2, moved
         stop = report(Iteration(after, length(step), 0.0, perf_counter() - start))
         chi2 = equations.linearize(poses)
-        # A step that the region cut short proves nothing.
-        if share == 1 and (reason := termination.change(before, chi2)):
+        # A step that the region cut short does not show convergence.
+        if fraction == 1 and (reason := termination.change(before, chi2)):
             return Outcome(poses, chi2, reason)
         if stop is True:
             return Outcome(poses, chi2, StopReason.INTERRUPTED)
@@ -85,7 +85,7 @@ def _corners(equations: Equations, rhs: Floats, scale: Floats) -> tuple[Floats, 
 
 
 def _path(newton: Floats, cauchy: Floats, radius: float) -> tuple[float, float]:
-    """Return the shares of the two steps at the point where the dogleg leaves the region."""
+    """Return the fractions of the two steps at the point where the dogleg leaves the region."""
     if length(newton) <= radius:
         return 1.0, 0.0
     reach = length(cauchy)

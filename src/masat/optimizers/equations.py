@@ -1,16 +1,22 @@
-"""A graph's normal equations, and what can be said of them beforehand and when they break."""
+"""A graph's normal equations, and what can be said of them before and after a failure."""
 
 from __future__ import annotations
 
+import os
 from typing import Protocol
 
 import numpy as np
 
 from masat import _core
 from masat.arrays import Floats
+from masat.errors import OptimizationError
 from masat.graph import PoseGraph
 
 _EPSILON = float(np.finfo(np.float64).eps)
+# Operations of one factorization above which a second thread pays, and the most threads that do:
+# the top of the elimination tree does not occupy more.
+_MIN_PARALLEL_OPERATIONS, _MAX_THREADS = 3e7, 8
+_MAX_GIVEN_THREADS = 1024
 
 
 class Equations(Protocol):
@@ -44,11 +50,53 @@ class Equations(Protocol):
         """Return the poses after a step."""
 
 
-def normal_equations(graph: PoseGraph, threads: int = 1) -> _core.NormalEquations:
-    """Lay out the system of a graph in which the anchors hold still."""
+def normal_equations(graph: PoseGraph, threads: int | None = None) -> _core.NormalEquations:
+    """Lay out the system of the free nodes of a graph."""
     return _core.NormalEquations(
-        graph.topology, graph.elimination, graph.measurements, graph.information, threads
+        graph.topology,
+        graph.elimination,
+        graph.measurements,
+        graph.information,
+        worthwhile_threads(graph) if threads is None else checked_threads(threads),
     )
+
+
+def worthwhile_threads(graph: PoseGraph) -> int:
+    """Return how many threads pay for the factorizations of a graph on this machine."""
+    if graph.elimination.operations(graph.dof) < _MIN_PARALLEL_OPERATIONS:
+        return 1
+    return max(1, min(_MAX_THREADS, _available_cores()))
+
+
+def _available_cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def checked_threads(threads: int) -> int:
+    """Return a number of threads that was asked for, if there can be as many."""
+    if not 1 <= threads <= _MAX_GIVEN_THREADS:
+        raise OptimizationError(f"threads must be from 1 to {_MAX_GIVEN_THREADS}, got {threads}")
+    return threads
+
+
+class BestSoFar:
+    """Equations that remember the poses of the lowest cost at which they were linearized."""
+
+    def __init__(self, inner: Equations, poses: Floats, chi2: float) -> None:
+        self._inner = inner
+        self.poses, self.lowest = poses, chi2
+        self.chi2, self.rhs, self.diagonal = inner.chi2, inner.rhs, inner.diagonal
+        self.multiply, self.factorize = inner.multiply, inner.factorize
+        self.solve, self.retract = inner.solve, inner.retract
+
+    def linearize(self, poses: Floats, /) -> float:
+        """Linearize, and remember poses of a lower cost."""
+        chi2 = self._inner.linearize(poses)
+        if chi2 < self.lowest:
+            self.poses, self.lowest = poses, chi2
+        return chi2
 
 
 def rounding_level(graph: PoseGraph) -> float:
@@ -66,13 +114,13 @@ def rounding_level(graph: PoseGraph) -> float:
 
 
 def why_singular(graph: PoseGraph, node: int) -> str:
-    """Say which node a singular system leaves open, and what its edges hold."""
+    """Say which node a singular system does not determine, and what its edges measure."""
     touching = (graph.edge_indices == node).any(axis=1)
     spectrum = np.linalg.eigvalsh(graph.information[touching])
     component = int(np.count_nonzero(graph.components == graph.components[node]))
     return (
         f"the edges around node {graph.ids[node]} (component of {component} nodes) do not "
         f"determine its pose: information from {spectrum.min():.3g} to {spectrum.max():.3g} on "
-        f"its {np.count_nonzero(touching)} edges; if a rotation error is half a turn, start "
-        "elsewhere; else use Levenberg-Marquardt"
+        f"its {np.count_nonzero(touching)} edges; if a rotation residual is half a turn, take "
+        "another initial guess; else use Levenberg-Marquardt"
     )

@@ -21,9 +21,9 @@ from masat.optimizers.termination import (
 def gauss_newton(
     equations: Equations, poses: Floats, termination: Termination, report: Report
 ) -> Outcome:
-    """Solve H step = J' W (-e) and take the full step, until chi2 stands still.
+    """Solve H step = J' W (-e) and take the full step, until chi2 no longer changes.
 
-    Fast near a minimum; far from one it may climb, circle or diverge. Source: Nocedal and Wright,
+    Fast near a minimum; far from one chi2 may rise, oscillate or diverge. Source: Nocedal and Wright,
     Numerical Optimization, 2006, section 10.3; stopping as in g2o.
     """
     start = perf_counter()
@@ -33,9 +33,9 @@ def gauss_newton(
     for _ in range(termination.max_iterations):
         if termination.flat(equations.rhs()):
             return Outcome(poses, chi2, StopReason.GRADIENT)
-        broken = equations.factorize(undamped)
-        if broken >= 0:
-            return best._replace(reason=StopReason.SINGULAR, singular_node=broken)
+        failed = equations.factorize(undamped)
+        if failed >= 0:
+            return best._replace(reason=StopReason.SINGULAR, singular_node=failed)
         step = equations.solve()
         poses = equations.retract(poses, step)
         before, chi2 = chi2, equations.linearize(poses)

@@ -1,4 +1,4 @@
-"""What an optimization returns, and how it is kept."""
+"""What an optimization returns, and how it is saved."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import os
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,17 +18,20 @@ from masat.files import write_atomically
 from masat.graph import PoseGraph
 from masat.optimizers.termination import Iteration, StopReason
 
-_VERSION = 1
+if TYPE_CHECKING:
+    from masat.optimality.certificate import Certificate
+
+_VERSION = 2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """The outcome of `masat.optimize`.
+    """The outcome of `masat.solve` or `masat.optimize`.
 
     Attributes
     ----------
     graph : PoseGraph
-        The graph at the best poses met.
+        The graph at the poses of the lowest chi2 of all iterations.
     method : str
         The optimizer.
     reason : StopReason
@@ -35,13 +39,20 @@ class Result:
     message : str
         The same in a sentence, with what to do if it did not converge.
     initial_chi2, chi2 : float
-        Sum over the edges of e' W e, without a factor 1/2, at the start and at `poses`.
+        Sum over the edges of e' W e, without a factor 1/2, at the initial guess and at `poses`.
     history : tuple of Iteration
         chi2, step length, damping and time of each iteration.
     gauge : ndarray of int64
-        Ids of the nodes that held still: the fixed ones, and one of each free component.
+        Ids of the nodes that were not optimized: the fixed ones, and one gauge-fixed node of each
+        component without any.
     seconds : float
-        Wall time, the analysis of the graph included.
+        Wall time of the optimization, the analysis of the graph included.
+    init : str or None
+        The initial guess, if `masat.solve` made it.
+    init_seconds : float
+        Wall time of the initial guess.
+    certificate : Certificate or None
+        Whether the poses are the global optimum, if `masat.solve` was asked to certify them.
     """
 
     graph: PoseGraph
@@ -53,6 +64,9 @@ class Result:
     history: tuple[Iteration, ...]
     gauge: Ids
     seconds: float
+    init: str | None = None
+    init_seconds: float = 0.0
+    certificate: Certificate | None = None
 
     @property
     def poses(self) -> Floats:
@@ -73,12 +87,12 @@ class Result:
     @property
     def degrees_of_freedom(self) -> int:
         """Measured numbers less unknown ones."""
-        unknown = len(self.graph.ids) - len(self.gauge)
+        unknown = len(self.graph) - len(self.gauge)
         return self.graph.dof * (len(self.graph.edges) - unknown)
 
     @property
     def reduced_chi2(self) -> float | None:
-        """chi2 over the degrees of freedom: about 1 where information is honest.
+        """chi2 over the degrees of freedom: about 1 where the information is right.
 
         None where nothing is measured twice.
         """
@@ -90,8 +104,16 @@ class Result:
             f"{self.iterations} iterations, {self.reason.name})"
         )
 
+    def _repr_html_(self) -> str:
+        from masat.display import result_html
+
+        return result_html(self)
+
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the result, graph and history included, to an .npz file, whole or not at all."""
+        """Write the result, graph and history included, to an .npz file, whole or not at all.
+
+        A better graph that the certificate may hold is not saved.
+        """
         graph = self.graph
         about = {
             "version": _VERSION,
@@ -101,8 +123,12 @@ class Result:
             "initial_chi2": self.initial_chi2,
             "chi2": self.chi2,
             "seconds": self.seconds,
+            "init": self.init,
+            "init_seconds": self.init_seconds,
+            "certificate": self.certificate and self.certificate.to_dict(),
             "notes": graph.notes,
         }
+        labels = {} if graph.labels is None else {"labels": graph.labels}
         buffer = io.BytesIO()
         np.savez_compressed(
             buffer,
@@ -115,6 +141,7 @@ class Result:
             fixed=graph.fixed,
             history=np.array(self.history, np.float64).reshape(-1, len(Iteration._fields)),
             gauge=self.gauge,
+            **labels,
         )
         write_atomically(Path(path), buffer.getvalue())
 
@@ -141,7 +168,8 @@ class Result:
                     poses=arrays["poses"],
                     fixed=arrays["fixed"],
                     notes=about["notes"],
-                )
+                    labels=arrays.get("labels"),
+                ).with_root(arrays["gauge"])
                 return cls(
                     graph=graph,
                     method=about["method"],
@@ -150,10 +178,22 @@ class Result:
                     initial_chi2=about["initial_chi2"],
                     chi2=about["chi2"],
                     history=tuple(Iteration(*row) for row in arrays["history"].tolist()),
-                    gauge=arrays["gauge"],
+                    gauge=graph.gauge,
                     seconds=about["seconds"],
+                    init=about["init"],
+                    init_seconds=about["init_seconds"],
+                    certificate=_certificate(about["certificate"]),
                 )
         except FormatError:
             raise
         except (KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile, MasatError) as error:
             raise FormatError(f"not a saved result: {error}", path) from None
+
+
+def _certificate(saved: dict[str, Any] | None) -> Certificate | None:
+    from masat.optimality.certificate import Certificate
+
+    if saved is None:
+        return None
+    names = ("status", "message", "chi2", "bound", "optimum")
+    return Certificate(**{name: saved[name] for name in names}, better=None)

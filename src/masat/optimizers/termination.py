@@ -1,10 +1,10 @@
-"""When an optimizer stops, and what it says of itself."""
+"""When an optimizer stops, and what it reports."""
 
 from __future__ import annotations
 
 import enum
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -21,10 +21,10 @@ class StopReason(enum.Enum):
     GRADIENT = "gradient below the tolerance"
     NOTHING_TO_DO = "no node is free to move"
     MAX_ITERATIONS = "iteration limit reached"
-    DIVERGED = "chi2 grew beyond its start or beyond all numbers"
+    DIVERGED = "chi2 grew beyond its initial value or became infinite"
     SINGULAR = "the system is singular"
     STALLED = "no damping gives a step downhill"
-    INTERRUPTED = "stopped by the caller"
+    INTERRUPTED = "stopped by the caller, by Ctrl-C or at the end of the time budget"
 
     @property
     def converged(self) -> bool:
@@ -47,11 +47,11 @@ class Iteration(NamedTuple):
     Attributes
     ----------
     chi2 : float
-        At its end.
+        chi2 after the iteration.
     step : float
         Euclidean length of the step, all nodes together (meters and radians mixed).
     damping : float
-        Relative to the diagonal of H; 0 in Gauss-Newton.
+        Damping relative to the diagonal of H; 0 in Gauss-Newton.
     seconds : float
         Wall time since the optimizer began.
     """
@@ -77,10 +77,11 @@ class Termination:
     rounding: float
 
     def change(self, before: float, after: float) -> StopReason | None:
-        """Judge an accepted step: g2o's relative test, 0 <= (before - after) / after < relative.
+        """Return why to stop after an accepted step, if there is a reason.
 
-        Errors e known to de, with de' W de = rounding, blur chi2 by 2 e' W de + de' W de at most,
-        which the Cauchy-Schwarz inequality bounds: a smaller change means nothing.
+        The relative test is g2o's, 0 <= (before - after) / after < relative. Residuals e known to
+        de, with de' W de = rounding, blur chi2 by at most 2 e' W de + de' W de, which the
+        Cauchy-Schwarz inequality bounds: a smaller change means nothing.
         """
         if abs(before - after) <= self.absolute:
             return StopReason.ABSOLUTE_CHANGE
@@ -90,13 +91,17 @@ class Termination:
             return StopReason.RELATIVE_CHANGE
         return None
 
+    def with_iterations(self, limit: int) -> Termination:
+        """Return the same with another limit of the iterations."""
+        return replace(self, max_iterations=max(limit, 0))
+
     def flat(self, rhs: Floats) -> bool:
         """Tell whether the gradient of chi2, -2 rhs, is below the tolerance (maximum norm)."""
         return self.gradient > 0 and 2 * float(np.abs(rhs).max()) <= self.gradient
 
 
 class Outcome(NamedTuple):
-    """What an optimizer returns: the best poses it met, and why it stopped."""
+    """What an optimizer returns: the poses of the lowest chi2, and why it stopped."""
 
     poses: Floats
     chi2: float

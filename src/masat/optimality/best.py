@@ -1,0 +1,130 @@
+"""The best minimum that can be found from a guess."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+from masat import _core
+from masat.arrays import Floats
+from masat.errors import InitializationError, OptimizationError
+from masat.graph import PoseGraph
+from masat.optimality.bounds import looks_global
+from masat.optimality.relaxation import Relaxation, lift
+from masat.optimality.search import LOWER, NEAR, lower_minimum
+from masat.optimizers import Result, optimize
+from masat.optimizers.equations import normal_equations
+from masat.outliers import describe_outliers
+from masat.progress import Progress
+
+# Gauss-Newton that needs more iterations than this is as likely as not to end in a minimum that is
+# wrong in many parts of the graph.
+_FEW_ITERATIONS = 15
+# Changes of chi2 below this fraction are near enough to a minimum for the check and for the search.
+_FIRST_TOLERANCE = 1e-4
+# Bytes of a factor up to which all nodes are lifted at once: some seconds on one core.
+_MAX_LIFTED_BYTES = 3e8
+
+
+class Minimum(NamedTuple):
+    """The lowest minimum that a search found.
+
+    Attributes
+    ----------
+    poses : ndarray, (n, 3) or (n, 7)
+    first_is_plausible : bool
+        Whether the minimum to which the guess led at once looked global.
+    notes : tuple of str
+        What the user should know.
+    """
+
+    poses: Floats
+    first_is_plausible: bool
+    notes: tuple[str, ...] = ()
+
+
+def best_minimum(
+    guess: PoseGraph, *, seed: int = 0, progress: Progress | None = None
+) -> Minimum:
+    """Optimize a guess, check whether the minimum looks global, and search on where it does not.
+
+    Gauss-Newton leads to a first minimum, or the dogleg method where that takes many iterations.
+    If the certificate of the chordal cost fails there by little, or chi2 itself is certified, the
+    search ends. If not, `lower_minimum` searches around the doubtful parts. Where the first minimum
+    took many iterations and memory allows it, all nodes are then lifted once, too.
+
+    Parameters
+    ----------
+    guess : PoseGraph
+        A graph with poses.
+    seed : int
+        Seed of the random noise that is added when a rank is raised.
+    progress : Progress, optional
+        What reports the stages and limits the time.
+
+    Returns
+    -------
+    Minimum
+
+    Raises
+    ------
+    InitializationError
+        If the graph cannot be optimized.
+    """
+    progress = progress or Progress()
+    try:
+        equations = normal_equations(guess)
+        near, soon = _first_minimum(guess, equations, progress)
+        doubts = describe_outliers(near.graph)
+        if progress.over:
+            return Minimum(near.poses, False, doubts)
+        relaxation = Relaxation(guess)
+        if relaxation.plausible(near.poses) or looks_global(near.graph, near.chi2):
+            return Minimum(near.poses, True)
+        for doubt in doubts:
+            progress.tell(doubt, near.chi2, warning=True)
+        found = lower_minimum(near.graph, seed=seed, progress=progress, equations=equations)
+        if not soon and not progress.over and relaxation.lifted_bytes() <= _MAX_LIFTED_BYTES:
+            found = _lift_all(guess, found, seed, progress, equations)
+    except OptimizationError as error:
+        raise InitializationError(f"the guess has to be optimized first: {error}") from error
+    return Minimum(found.poses, False, describe_outliers(found.graph))
+
+
+def _first_minimum(
+    guess: PoseGraph, equations: _core.NormalEquations, progress: Progress
+) -> tuple[Result, bool]:
+    """Return the minimum near a guess, and whether few iterations led there."""
+    run = partial(
+        optimize,
+        guess,
+        relative_tolerance=_FIRST_TOLERANCE,
+        equations=equations,
+        progress=progress,
+    )
+    progress.tell("optimizing the chordal guess")
+    quick = run("gauss_newton", max_iterations=_FEW_ITERATIONS)
+    if quick.converged or progress.over:
+        return quick, True
+    return run("dogleg"), False
+
+
+def _lift_all(
+    guess: PoseGraph,
+    found: Result,
+    seed: int,
+    progress: Progress,
+    equations: _core.NormalEquations,
+) -> Result:
+    progress.tell("lifting all nodes", found.chi2)
+    try:
+        lifted = guess.with_poses(lift(guess, seed=seed))
+    except KeyboardInterrupt:
+        progress.interrupt()
+        return found
+    other = optimize(
+        lifted, "dogleg", relative_tolerance=NEAR, equations=equations, progress=progress
+    )
+    if other.chi2 >= found.chi2 * (1 - LOWER):
+        return found
+    return lower_minimum(other.graph, seed=seed, progress=progress, equations=equations)

@@ -1,0 +1,106 @@
+"""Lower bounds on chi2 over all poses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from masat.errors import InitializationError, OptimizationError
+from masat.graph import PoseGraph
+from masat.optimality.relaxation import Relaxation
+from masat.optimality.surrogates import tangent_surrogate
+
+# A gap below this fraction of chi2 counts as none: minima that differ by less are one.
+TIGHT = 1e-6
+# Fractions of chi2 that a bound may give up, from the smallest on, until the certificate holds.
+_ALLOWED = (0.0, TIGHT / 4, 1e-4, 1e-3, 1e-2, 0.1, 0.5)
+# The fraction of chi2 that is still to be gained where an optimizer stopped early, at most.
+_NEAR_MINIMUM = 1e-3
+_LIFTED_DECREASE = 1e-6
+
+
+def chi2_bound(graph: PoseGraph, chi2: float) -> float:
+    """Return a number that chi2 of no poses lies below, from the certificate at a graph's poses.
+
+    The surrogate that touches chi2 at the poses (`surrogates.tangent_surrogate`) exceeds chi2
+    nowhere. With S the matrix of its Lagrangian and g its gradient at the poses, no poses cost less
+    than these by more than <g, S^-1 g> if S is positive definite; a shift of S that makes it so
+    adds four times itself for each row of each rotation matrix. At a minimum of chi2 g is zero, so
+    that a positive definite S proves the minimum global. One factorization where S is positive
+    definite, up to seven where it is not.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        A graph with poses, best at a minimum.
+    chi2 : float
+        Its chi2.
+
+    Returns
+    -------
+    float
+        Between 0, which chi2 never lies below, and `chi2`.
+
+    Raises
+    ------
+    OptimizationError
+        If an information matrix is singular to rounding.
+    """
+    return _Certificate(graph, chi2).bound(_ALLOWED)
+
+
+def looks_global(graph: PoseGraph, chi2: float) -> bool:
+    """Whether the certificate holds near the minimum at which an optimizer stopped early."""
+    try:
+        return chi2 - _Certificate(graph, chi2).bound((0.0,)) <= _NEAR_MINIMUM * chi2
+    except OptimizationError:
+        return False
+
+
+def lifted_bound(graph: PoseGraph, chi2: float, *, seed: int = 0) -> tuple[float, PoseGraph | None]:
+    """Return a bound from a higher rank, and the graph at the poses that this rank is rounded to.
+
+    The minimum of the tangent surrogate at a higher rank lies below all poses' chi2, and its
+    certificate fails by less. Costs a descent at that rank. Arguments as of `chi2_bound`; the graph
+    is None where memory does not allow the higher rank.
+    """
+    return _Certificate(graph, chi2).lifted(seed)
+
+
+class _Certificate:
+    """The relaxation of the surrogate that touches chi2 at a graph's poses."""
+
+    def __init__(self, graph: PoseGraph, chi2: float) -> None:
+        if graph.poses is None:
+            raise OptimizationError("the graph has no poses: there is nothing to bound")
+        self._graph = graph
+        surrogate = tangent_surrogate(graph, graph.poses)
+        self._chi2, self._touched = chi2, chi2 - surrogate.deficit
+        self._relaxation = Relaxation(graph, surrogate)
+        self._unknowns = self._relaxation.unknowns(graph.poses, graph.dimension)
+
+    def bound(self, allowed: tuple[float, ...]) -> float:
+        for fraction in allowed:
+            gap = self._relaxation.gap(self._unknowns, fraction * self._chi2)
+            if np.isfinite(gap):
+                return self._clipped(self._touched - gap)
+        return 0.0
+
+    def lifted(self, seed: int) -> tuple[float, PoseGraph | None]:
+        relaxation = self._relaxation
+        if not relaxation.can_lift():
+            return 0.0, None
+        try:
+            top = relaxation.minimize_lifted(self._unknowns, decrease=_LIFTED_DECREASE, seed=seed)
+        except InitializationError:
+            return 0.0, None
+        poses = relaxation.poses(top.unknowns)
+        rounded = self._graph.with_poses(poses) if np.isfinite(poses).all() else None
+        below = relaxation.cost(self._unknowns) - top.cost
+        for fraction in _ALLOWED:
+            gap = relaxation.gap(top.unknowns, fraction * self._chi2)
+            if np.isfinite(gap):
+                return self._clipped(self._touched - below - gap), rounded
+        return 0.0, rounded
+
+    def _clipped(self, bound: float) -> float:
+        return float(np.clip(bound, 0.0, self._chi2))

@@ -1,0 +1,115 @@
+"""From a pose graph to a map: initial guess, optimization and, on request, the certificate."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from time import perf_counter
+
+from masat.errors import MasatWarning
+from masat.graph import PoseGraph
+from masat.initializers import guess_of
+from masat.optimality.certificate import certify as certified
+from masat.optimizers import Result, optimize
+from masat.optimizers.equations import normal_equations
+from masat.optimizers.termination import Report
+from masat.progress import Progress, ReportStage
+
+
+def solve(
+    graph: PoseGraph,
+    *,
+    init: str = "auto",
+    optimizer: str = "levenberg_marquardt",
+    root: int | None = None,
+    certify: bool = False,
+    max_iterations: int = 100,
+    relative_tolerance: float = 1e-9,
+    threads: int | None = None,
+    seed: int = 0,
+    budget: float | None = None,
+    report: Report | None = None,
+    report_stage: ReportStage | None = None,
+) -> Result:
+    """Make a map of a pose graph: initial guess, optimization and, on request, the certificate.
+
+    Ctrl-C and the end of the time budget return the best map so far, with
+    `StopReason.INTERRUPTED`; before there is any map, Ctrl-C raises KeyboardInterrupt.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        The graph. Its own poses count only for fixed nodes, and for the initial guess "given".
+    init : str
+        Initial guess, one of `masat.initializers.INITIALIZERS`. The default "auto" needs none and
+        searches for the lowest minimum.
+    optimizer : str
+        "levenberg_marquardt" ("lm"), "gauss_newton" ("gn") or "dogleg".
+    root : int, optional
+        Id of the node that is placed at the identity and not optimized. Default: the smallest of
+        its component. Components with fixed nodes need none.
+    certify : bool
+        Whether to prove that chi2 is the lowest of all poses (`masat.certify`): one more
+        factorization in most cases. No further search is made where there is no proof.
+    max_iterations : int
+        Limit of the optimizer's iterations.
+    relative_tolerance : float
+        The optimizer stops when chi2 falls by a smaller fraction of itself.
+    threads : int, optional
+        Threads that factorize. The numbers do not depend on it. Default: as many as pay for this
+        graph on this machine.
+    seed : int
+        Seed of the random noise that the search adds when it raises a rank.
+    budget : float, optional
+        Seconds after which the best map so far is returned. Default: no limit.
+    report : callable, optional
+        Called with the `Iteration` after each iteration of the optimizer; returning True stops it.
+    report_stage : callable, optional
+        Called with a `masat.progress.Stage` at the beginning of each stage of the search.
+
+    Returns
+    -------
+    Result
+        The map is `result.graph`, its poses `result.poses`. Each note of the initial guess is also
+        a `MasatWarning`.
+
+    Raises
+    ------
+    InitializationError, OptimizationError
+        If the initial guess or the optimizer is unknown or cannot do what is asked.
+    GraphError
+        If the root is not in the graph, or is not fixed in a component that has fixed nodes.
+
+    Examples
+    --------
+    >>> import masat
+    >>> graph = masat.PoseGraph.from_arrays(
+    ...     edges=[(0, 1), (1, 2), (2, 0)], measurements=[(1, 0, 2.1), (1, 0, 2.1), (1, 0, 2.1)]
+    ... )
+    >>> result = masat.solve(graph, certify=True)
+    >>> result.converged, result.certificate.certified
+    (True, True)
+    """
+    progress = Progress(budget, report_stage, catch_interrupts=True)
+    start = perf_counter()
+    guess = guess_of(graph, init, root=root, seed=seed, progress=progress)
+    init_seconds = perf_counter() - start
+    for note in guess.notes:
+        if note not in graph.notes:
+            warnings.warn(note, MasatWarning, stacklevel=2)
+    equations = normal_equations(guess, threads)
+    result = optimize(
+        guess,
+        optimizer,
+        max_iterations=max_iterations,
+        relative_tolerance=relative_tolerance,
+        report=report,
+        progress=progress,
+        equations=equations,
+    )
+    certificate = None
+    if certify and result.converged:
+        certificate = certified(
+            result.graph, search=False, progress=progress, equations=equations
+        )
+    return replace(result, init=init, init_seconds=init_seconds, certificate=certificate)
