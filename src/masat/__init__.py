@@ -14,6 +14,7 @@ from masat.errors import (
 from masat.formats import read, write
 from masat.graph import PoseGraph
 from masat.initializers import initialize
+from masat.merging import merge
 from masat.optimality.certificate import Certificate, certify
 from masat.optimizers import Iteration, Result, StopReason, optimize
 from masat.plotting import plot
@@ -36,6 +37,7 @@ __all__ = [
     "covariances",
     "diagnose",
     "initialize",
+    "merge",
     "optimize",
     "plot",
     "read",

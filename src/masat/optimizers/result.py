@@ -8,10 +8,11 @@ import os
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from masat.arrays import Floats, Ids
+from masat.arrays import Floats, Ids, locked
 from masat.errors import FormatError, MasatError
 from masat.files import write_atomically
 from masat.graph import PoseGraph
@@ -39,7 +40,7 @@ class Result:
     history : tuple of Iteration
         chi2, step length, damping and time of each iteration.
     gauge : ndarray of int64
-        Ids of the nodes that held still: the fixed ones, and one of each free component.
+        Ids of the nodes that were not optimized, as in `PoseGraph.gauge`.
     seconds : float
         Wall time, the analysis of the graph included.
     """
@@ -53,6 +54,13 @@ class Result:
     history: tuple[Iteration, ...]
     gauge: Ids
     seconds: float
+
+    def __post_init__(self) -> None:
+        self.__dict__["gauge"] = locked(self.gauge)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.__post_init__()
 
     @property
     def poses(self) -> Floats:
@@ -103,6 +111,7 @@ class Result:
             "seconds": self.seconds,
             "notes": graph.notes,
         }
+        labels: dict[str, Any] = {} if graph.labels is None else {"labels": graph.labels}
         buffer = io.BytesIO()
         np.savez_compressed(
             buffer,
@@ -115,6 +124,7 @@ class Result:
             fixed=graph.fixed,
             history=np.array(self.history, np.float64).reshape(-1, len(Iteration._fields)),
             gauge=self.gauge,
+            **labels,
         )
         write_atomically(Path(path), buffer.getvalue())
 
@@ -141,7 +151,8 @@ class Result:
                     poses=arrays["poses"],
                     fixed=arrays["fixed"],
                     notes=about["notes"],
-                )
+                    labels=arrays.get("labels"),
+                ).with_root(arrays["gauge"])
                 return cls(
                     graph=graph,
                     method=about["method"],
