@@ -22,6 +22,7 @@ from masat.errors import (
 from masat.formats import read, write
 from masat.graph import PoseGraph
 from masat.initializers import initialize
+from masat.merging import merge
 from masat.optimality.certificate import Certificate, certify
 from masat.optimizers import Iteration, Result, StopReason, optimize
 from masat.plotting import plot
@@ -46,6 +47,7 @@ __all__ = [
     "covariances",
     "diagnose",
     "initialize",
+    "merge",
     "optimize",
     "plot",
     "read",

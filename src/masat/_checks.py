@@ -1,40 +1,90 @@
-"""What `PoseGraph` demands of its arrays."""
+"""The checks that `PoseGraph` makes on its arrays; each failure is one `GraphError`."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import ArrayLike
+from typing import Any, TypeVar
 
-from masat.arrays import Floats, Ids
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from masat.arrays import AnyArray, Flags, Floats, Ids, Labels
 from masat.errors import GraphError, InformationError
 from masat.information import indefinite
 
-# Printed quaternions are off unit length by their rounding; a norm further off is no rotation.
-_QUATERNION_TOLERANCE = 1e-2
+# Quaternions in files are off unit length by the rounding of their decimals, which is far less.
+_MAX_LENGTH_ERROR = 1e-2
 _UNIT_TO_ROUNDING = 1e-14
+# As long as a tag in a file may sensibly be; it bounds the memory, 4 bytes a character and edge.
+_MAX_LABEL_LENGTH = 64
+_NAMES_OF_KINDS = {
+    "b": "booleans",
+    "c": "complex numbers",
+    "m": "durations",
+    "M": "dates",
+    "S": "bytes",
+    "T": "strings",
+    "U": "strings",
+    "V": "records",
+}
+
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
-def matrix(name: str, values: ArrayLike) -> Floats:
-    """Return a contiguous copy of a table of numbers."""
-    try:
-        table = np.array(values, np.float64, order="C")
-    except (OverflowError, TypeError, ValueError) as error:
-        raise GraphError(f"{name} must be numbers: {error}") from None
-    if table.size == 0 and table.ndim < 2:
-        return table.reshape(0, 3)
-    if table.ndim != 2:
-        raise GraphError(f"{name} must be a table, one row each, got shape {table.shape}")
-    return table
+def numbers(name: str, values: ArrayLike) -> Floats:
+    """Return real numbers as an array, which may share the memory of `values`."""
+    raw = _array(name, values, "numbers")
+    if raw.size and raw.dtype.kind not in "iuf":
+        raise GraphError(f"{name} must be numbers, got {_contents(raw)}")
+    return np.asarray(raw, np.float64)
+
+
+def table(name: str, values: ArrayLike) -> Floats:
+    """Return a contiguous copy of a table of numbers; an empty list is a table of shape (0, 0)."""
+    out = _copy(numbers(name, values), values)
+    if out.size == 0 and out.ndim < 2:
+        return out.reshape(0, 0)
+    if out.ndim != 2:
+        raise GraphError(f"{name} must be a table, one row each, got shape {out.shape}")
+    return out
 
 
 def integers(name: str, values: ArrayLike) -> Ids:
-    try:
-        whole = np.asarray(values)
-    except (OverflowError, ValueError) as error:
-        raise GraphError(f"{name} must be integers: {error}") from None
-    if whole.size and (whole.dtype.kind not in "iu" or whole.max() > np.iinfo(np.int64).max):
-        raise GraphError(f"{name} must be integers of at most 64 bits, got {whole.dtype}")
-    return np.array(whole, np.int64, order="C")
+    """Return a contiguous copy of integers."""
+    raw = _array(name, values, "integers")
+    if raw.size and raw.dtype.kind not in "iu":
+        raise GraphError(f"{name} must be integers of at most 64 bits, got {_contents(raw)}")
+    if raw.size and raw.dtype.kind == "u" and raw.max() > np.iinfo(np.int64).max:
+        raise GraphError(f"{name} must be integers of at most 64 bits and a sign, got {raw.max()}")
+    return _copy(np.asarray(raw, np.int64), values)
+
+
+def row_of_integers(name: str, values: Any) -> Ids:
+    """Return distinct integers, ascending, from one integer or any iterable of them."""
+    if not isinstance(values, np.ndarray):
+        try:
+            values = list(values)
+        except TypeError:
+            values = [values]
+    out = integers(name, values)
+    if out.ndim > 1:
+        raise GraphError(f"{name} must be integers in one row, got shape {out.shape}")
+    return distinct(out)
+
+
+def flags(values: Any) -> Flags | None:
+    """Return booleans as an array, or None if the values are no booleans or there are none."""
+    raw = _array("a mask", values, "booleans")
+    return raw if raw.size and raw.dtype == np.bool_ else None
+
+
+def pairs_of_ids(edges: ArrayLike) -> Ids:
+    """Return a copy of the edges, (m, 2)."""
+    pairs = integers("edges", edges)
+    if pairs.size == 0 and pairs.ndim < 2:
+        pairs = pairs.reshape(0, 2)
+    if pairs.ndim != 2 or pairs.shape[1] != 2:
+        raise GraphError(f"edges must have shape (m, 2), got {pairs.shape}")
+    return pairs
 
 
 def distinct(values: Ids) -> Ids:
@@ -46,8 +96,8 @@ def distinct(values: Ids) -> Ids:
 
 
 def ascending(nodes: Ids, poses: Floats | None) -> tuple[Ids, Floats | None]:
-    rising = nodes[1:] > nodes[:-1]
-    if rising.all():
+    """Return the nodes in ascending order, and their poses in the same."""
+    if (nodes[1:] > nodes[:-1]).all():
         return nodes, poses
     order = np.argsort(nodes, kind="stable")
     twice = np.flatnonzero(np.diff(nodes[order]) == 0)
@@ -57,32 +107,34 @@ def ascending(nodes: Ids, poses: Floats | None) -> tuple[Ids, Floats | None]:
     return nodes[order], None if poses is None else poses[order]
 
 
+def known_nodes(nodes: Ids, wanted: Ids, what: str) -> None:
+    """Refuse ids that are not among the ascending `nodes`."""
+    for node in wanted[~among(nodes, wanted)][:1]:
+        raise GraphError(f"the {what} {node} is not in the graph")
+
+
 def known_edges(nodes: Ids, pairs: Ids) -> None:
-    loops = np.flatnonzero(pairs[:, 0] == pairs[:, 1])
-    if len(loops):
-        k = int(loops[0])
-        raise GraphError(f"edge {k} joins node {pairs[k, 0]} to itself", edge=k)
-    if without_gaps(nodes):
-        known = (pairs >= nodes[0]) & (pairs <= nodes[-1])
-    else:
-        known = nodes[np.searchsorted(nodes, pairs).clip(max=len(nodes) - 1)] == pairs
-    unknown = np.argwhere(~known)
-    if len(unknown):
-        k, end = unknown[0]
+    """Refuse edges from a node to itself, and edges that name a node not among `nodes`."""
+    no_loops(pairs)
+    for k, end in np.argwhere(~among(nodes, pairs))[:1]:
         raise GraphError(
-            f"edge {k} ({pairs[k, 0]} -> {pairs[k, 1]}) names node {pairs[k, end]}, "
-            "which is not among the nodes",
+            f"{edge_name(pairs, k)} names node {pairs[k, end]}, which is not among the nodes",
             edge=int(k),
         )
 
 
+def no_loops(pairs: Ids) -> None:
+    for k in np.flatnonzero(pairs[:, 0] == pairs[:, 1])[:1]:
+        raise GraphError(f"edge {k} joins node {pairs[k, 0]} to itself", edge=int(k))
+
+
 def rotations(poses: Floats, what: str, names: Ids, kind: str) -> Floats:
-    """Check that poses are finite and normalize their quaternions."""
+    """Refuse poses that are not finite or no poses; normalize their quaternions in place."""
 
     def refuse(row: int, why: str) -> None:
-        name = names[row] if kind == "node" else f"{row} ({names[row, 0]} -> {names[row, 1]})"
-        message = f"the {what} {name} {why}"
-        raise GraphError(message, edge=row) if kind == "edge" else GraphError(message, node=row)
+        if kind == "edge":
+            raise GraphError(f"the {what} of {edge_name(names, row)} {why}", edge=row)
+        raise GraphError(f"the {what} of node {names[row]} {why}", node=row)
 
     if not np.isfinite(poses).all():
         refuse(int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0]), "is not finite")
@@ -90,23 +142,19 @@ def rotations(poses: Floats, what: str, names: Ids, kind: str) -> Floats:
         q = poses[:, 3:]
         squared = np.einsum("ij,ij->i", q, q)
         off = np.abs(squared - 1)
-        worst = np.flatnonzero(off > 2 * _QUATERNION_TOLERANCE)
-        if len(worst):
-            row = int(worst[0])
-            refuse(row, f"has a quaternion of length {squared[row] ** 0.5:.6g}, expected 1")
+        for row in np.flatnonzero(off > 2 * _MAX_LENGTH_ERROR)[:1]:
+            refuse(int(row), f"has a quaternion of length {squared[row] ** 0.5:.6g}, expected 1")
         rounded = off > _UNIT_TO_ROUNDING
         q[rounded] /= np.sqrt(squared[rounded])[:, None]
     return poses
 
 
 def information_matrices(information: ArrayLike | None, pairs: Ids, dof: int) -> Floats:
+    """Return a copy of the information matrices, (m, dof, dof), checked and exactly symmetric."""
     m = len(pairs)
     if information is None:
         return np.ascontiguousarray(np.broadcast_to(np.eye(dof), (m, dof, dof)))
-    try:
-        given = np.asarray(information, np.float64)
-    except (OverflowError, TypeError, ValueError) as error:
-        raise GraphError(f"information must be numbers: {error}") from None
+    given = numbers("information", information)
     if given.shape not in ((dof, dof), (m, dof, dof)):
         raise GraphError(
             f"information must have shape ({m}, {dof}, {dof}) or ({dof}, {dof}), got {given.shape}"
@@ -115,7 +163,7 @@ def information_matrices(information: ArrayLike | None, pairs: Ids, dof: int) ->
     flat = matrices.reshape(m, dof * dof)
     if not np.isfinite(flat).all():
         k = int(np.flatnonzero(~np.isfinite(flat).all(axis=1))[0])
-        raise GraphError(f"the information of {_edge(pairs, k)} is not finite", edge=k)
+        raise GraphError(f"the information of {edge_name(pairs, k)} is not finite", edge=k)
     flipped = matrices.transpose(0, 2, 1)
     if not np.array_equal(matrices, flipped):
         scale = np.abs(flat).max(axis=1)
@@ -126,7 +174,7 @@ def information_matrices(information: ArrayLike | None, pairs: Ids, dof: int) ->
             k = int(np.flatnonzero(skewed)[0])
             raise InformationError(
                 f"the information of {np.count_nonzero(skewed)} of {m} edges is not symmetric, "
-                f"first of {_edge(pairs, k)}",
+                f"first of {edge_name(pairs, k)}",
                 edge=k,
                 count=int(np.count_nonzero(skewed)),
             )
@@ -136,7 +184,7 @@ def information_matrices(information: ArrayLike | None, pairs: Ids, dof: int) ->
         k = int(bad[0])
         raise InformationError(
             f"the information matrices of {len(bad)} of {m} edges are not positive definite, "
-            f"first that of {_edge(pairs, k)}, smallest eigenvalue "
+            f"first that of {edge_name(pairs, k)}, smallest eigenvalue "
             f"{np.linalg.eigvalsh(matrices[k])[0]:.6g}",
             edge=k,
             count=len(bad),
@@ -144,10 +192,106 @@ def information_matrices(information: ArrayLike | None, pairs: Ids, dof: int) ->
     return matrices
 
 
+def edge_labels(labels: Any, count: int) -> Labels | None:
+    """Return a copy of the labels, one an edge: int64, or strings of at most 64 characters."""
+    if labels is None:
+        return None
+    raw = _array("labels", labels, "integers or strings")
+    if raw.dtype.kind == "T":
+        raw = raw.astype(np.str_)
+    mixed = raw.dtype.kind == "U" and isinstance(labels, list | tuple)
+    if mixed and not all(isinstance(label, str) for label in labels):
+        raise GraphError("labels must be all integers or all strings")
+    if raw.shape not in ((), (count,)):
+        raise GraphError(f"labels must have shape ({count},) or be one label, got {raw.shape}")
+    if raw.size == 0:
+        return np.zeros(0, raw.dtype if raw.dtype.kind == "U" else np.int64)
+    if raw.dtype.kind != "U":
+        if raw.dtype.kind not in "iu":
+            raise GraphError(f"labels must be integers or strings, got {_contents(raw)}")
+        return np.array(np.broadcast_to(integers("labels", raw), count))
+    row = np.ravel(raw)
+    length = np.char.str_len(row)
+    for k in np.flatnonzero(length > _MAX_LABEL_LENGTH)[:1]:
+        raise GraphError(
+            f"the label of edge {k} has {length[k]} characters: at most {_MAX_LABEL_LENGTH} fit",
+            edge=int(k),
+        )
+    row = np.ascontiguousarray(row, f"=U{max(int(length.max()), 1)}")
+    for k in np.flatnonzero(_unprintable(row))[:1]:
+        raise GraphError(
+            f"the label of edge {k}, {str(row[k])!r}, holds a control character or a line break",
+            edge=int(k),
+        )
+    return np.array(np.broadcast_to(row, count)) if raw.ndim == 0 else row.copy()
+
+
+def among(nodes: Ids, wanted: Ids) -> Flags:
+    """Tell which of the wanted ids are among the ascending `nodes`."""
+    if without_gaps(nodes):
+        known: Flags = (wanted >= nodes[0]) & (wanted <= nodes[-1])
+    else:
+        known = nodes[np.searchsorted(nodes, wanted).clip(max=len(nodes) - 1)] == wanted
+    return known
+
+
 def without_gaps(nodes: Ids) -> bool:
     """Tell whether ascending ids are consecutive."""
     return int(nodes[-1]) - int(nodes[0]) == len(nodes) - 1
 
 
-def _edge(pairs: Ids, k: int) -> str:
+def edge_name(pairs: Ids, k: int) -> str:
+    """Return how messages name an edge: its index and its nodes."""
     return f"edge {k} ({pairs[k, 0]} -> {pairs[k, 1]})"
+
+
+def _array(name: str, values: Any, expected: str) -> AnyArray:
+    """Return the values as an array of whatever type, without copying one."""
+    try:
+        raw = np.asarray(values)
+    except (OverflowError, TypeError, ValueError) as error:
+        row = _first_uneven(values)
+        why = str(error) if row is None else f"row {row} is not as long as row 0"
+        raise GraphError(f"{name} must be {expected}: {why}") from None
+    # The rows of a list may be masked as well.
+    several = values if isinstance(values, list | tuple) else [values]
+    if any(isinstance(a, np.ndarray) and type(a) is not np.ndarray for a in several):
+        mask = np.ma.getmaskarray(np.ma.asarray(values))
+        for row in np.argwhere(mask)[:1]:
+            where = f"row {row[0]} of {name}" if len(row) else name
+            raise GraphError(f"{where} is masked: fill it in or leave it out")
+    return raw
+
+
+def _first_uneven(rows: Any) -> int | None:
+    """Return the first row whose length differs from that of row 0."""
+    try:
+        lengths = [np.size(row) for row in rows]
+    except (TypeError, ValueError):
+        return None
+    return next((k for k, length in enumerate(lengths) if length != lengths[0]), None)
+
+
+def _contents(raw: AnyArray) -> str:
+    """Say what an array holds in place of numbers."""
+    if raw.dtype.kind == "O":
+        return f"an object such as {raw.flat[0]!r:.40}"
+    return _NAMES_OF_KINDS.get(raw.dtype.kind, str(raw.dtype))
+
+
+def _copy(converted: NDArray[_Scalar], values: Any) -> NDArray[_Scalar]:
+    """Return a contiguous array that shares no memory with what the caller gave."""
+    # What is made of a list is new already.
+    if isinstance(values, list | tuple):
+        return np.asarray(converted, order="C")
+    return np.array(converted, order="C")
+
+
+def _unprintable(row: AnyArray) -> AnyArray:
+    """Tell which strings hold control characters, line breaks or what UTF-8 cannot hold."""
+    codes = row.view(np.uint32).reshape(len(row), row.dtype.itemsize // 4)
+    bad: AnyArray = (codes < 32) & (codes > 0) | (codes >= 127) & (codes < 160)
+    bad = bad | (codes == 0x2028) | (codes == 0x2029) | (codes >= 0xD800) & (codes <= 0xDFFF)
+    # Zeros pad a string; before another character they belong to it.
+    bad[:, :-1] |= (codes[:, :-1] == 0) & (codes[:, 1:] != 0)
+    return np.asarray(bad.any(axis=1))

@@ -15,6 +15,7 @@ Floats: TypeAlias = NDArray[np.float64]
 Ids: TypeAlias = NDArray[np.int64]
 Indices: TypeAlias = NDArray[np.int32]
 Flags: TypeAlias = NDArray[np.bool_]
+Labels: TypeAlias = NDArray[np.int64] | NDArray[np.str_]
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
@@ -25,6 +26,6 @@ def locked(a: NDArray[_Scalar]) -> NDArray[_Scalar]:
     An array that owns its memory can always be made writable. A view of a read-only buffer cannot.
     """
     a = np.asarray(a)  # also turns a memory map into a plain array
-    if not a.flags.writeable and not a.flags.owndata:
+    if isinstance(a.base, memoryview) and a.base.readonly:
         return a
     return np.asarray(a.data.toreadonly())

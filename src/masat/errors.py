@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 
 class MasatError(Exception):
     """Base of the package's errors; its text says what is wrong, where, and what to do."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # By default an exception is unpickled from its text alone, which the errors below refuse.
+        return _unpickled, (type(self), self.args, self.__dict__)
+
+
+def _unpickled(kind: type[MasatError], args: tuple[Any, ...], state: dict[str, Any]) -> MasatError:
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(state)
+    return error
 
 
 class GraphError(MasatError, ValueError):

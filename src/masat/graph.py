@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from masat import _checks as checks
-from masat import _core, lie
-from masat.arrays import Floats, Ids, Indices, locked
+from masat import _core, editing, lie, residuals
+from masat.arrays import Floats, Ids, Indices, Labels, locked
 from masat.errors import GraphError
 from masat.structure import Structure
 
@@ -25,16 +25,18 @@ _NOT_MADE: Any = None
 class PoseGraph:
     """An immutable pose graph in SE(2) or SE(3), checked when it is made.
 
-    Make one with `PoseGraph.from_arrays` or `masat.read`. Node arrays follow `ids`, edge arrays
-    the order of the input. All arrays are read-only; `with_poses` makes a changed copy.
+    Make one with `PoseGraph.from_arrays` or `masat.read`. Arrays over nodes are in the order of
+    `ids`, arrays over edges in the order of the input. All arrays are read-only. The methods
+    `with_...`, `without_...` and `relabel` return changed copies, and check only what is new.
+    `len(graph)` is the number of nodes.
 
     Attributes
     ----------
     ids : ndarray of int64, (n,)
         Node ids, ascending; any integers, gaps allowed.
     poses : ndarray, (n, 3) or (n, 7), or None
-        x, y, theta or x, y, z, qx, qy, qz, qw: meters, radians, unit quaternions; None as long as
-        nobody has given or guessed them.
+        x, y, theta or x, y, z, qx, qy, qz, qw: meters, radians, unit quaternions. None until they
+        are given or an initial guess is made.
     edges : ndarray of int64, (m, 2)
         Ids of the nodes (from, to) that each edge joins.
     measurements : ndarray, (m, 3) or (m, 7)
@@ -45,7 +47,12 @@ class PoseGraph:
     fixed : ndarray of int64
         Ids of the nodes that keep their poses, ascending.
     notes : tuple of str
-        What the reader or the initial guess passed over, assumed or bridged.
+        Everything that the reader or the initial guess skipped, assumed or filled in.
+    labels : ndarray of int64 or str, (m,), or None
+        A label for each edge.
+    structure : Structure
+        What follows from the ids, edges and fixed nodes alone. Graphs that differ in poses or
+        measurements share one.
     """
 
     ids: Ids
@@ -55,6 +62,7 @@ class PoseGraph:
     information: Floats
     fixed: Ids
     notes: tuple[str, ...] = field(default=())
+    labels: Labels | None = field(default=None)
     structure: Structure = field(default=_NOT_MADE, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -70,6 +78,7 @@ class PoseGraph:
             poses=None if self.poses is None else locked(self.poses),
             measurements=locked(self.measurements),
             information=locked(self.information),
+            labels=None if self.labels is None else locked(self.labels),
         )
 
     def __getstate__(self) -> dict[str, Any]:
@@ -89,8 +98,9 @@ class PoseGraph:
         *,
         ids: ArrayLike | None = None,
         poses: ArrayLike | None = None,
-        fixed: Iterable[int] = (),
+        fixed: int | Iterable[int] = (),
         notes: Iterable[str] = (),
+        labels: ArrayLike | None = None,
     ) -> PoseGraph:
         """Check the arrays and make a graph of copies of them.
 
@@ -108,10 +118,13 @@ class PoseGraph:
             Node ids in any order, that of `poses`. Default: those that the edges name, ascending.
         poses : array_like, (n, 3) or (n, 7), optional
             Poses of the nodes.
-        fixed : iterable of int, optional
+        fixed : int or iterable of int, optional
             Ids of the nodes that keep their poses. Several in one component need `poses`.
         notes : iterable of str, optional
-            Remarks to carry along.
+            Remarks to keep with the graph.
+        labels : array_like, (m,), optional
+            One integer or short string an edge, such as the sensor or the session it comes from;
+            or one for all edges. Strings have at most 64 characters and no control characters.
 
         Returns
         -------
@@ -120,26 +133,22 @@ class PoseGraph:
         Raises
         ------
         GraphError
-            Naming the node or edge at fault: no nodes, numbers that are not finite, ids that are
-            not known, not integers or not unique, an edge from a node to itself, quaternions that
-            are no rotations, shapes that do not fit.
+            If there is no node, if numbers are not finite, not real or masked, if ids are unknown,
+            not integers or not unique, if an edge joins a node to itself, if a quaternion is far
+            from unit length, or if shapes do not fit. It names the first node or edge at fault.
         InformationError
-            Counting the matrices that are not symmetric positive definite.
+            If information matrices are not symmetric positive definite. It counts them.
         """
-        z = checks.matrix("measurements", measurements)
-        pairs = checks.integers("edges", edges)
-        if pairs.size == 0:
-            pairs = pairs.reshape(0, 2)
-        if pairs.ndim != 2 or pairs.shape[1] != 2:
-            raise GraphError(f"edges must have shape (m, 2), got {pairs.shape}")
-        given = None if poses is None else checks.matrix("poses", poses)
-        if len(z) == 0:
+        pairs = checks.pairs_of_ids(edges)
+        z = checks.table("measurements", measurements)
+        given = None if poses is None else checks.table("poses", poses)
+        if z.shape[1] == 0:
             z = z.reshape(0, 3 if given is None else given.shape[1])
         if z.shape[1] not in (3, 7):
             raise GraphError(f"measurements must have shape (m, 3) or (m, 7), got {z.shape}")
         if len(pairs) != len(z):
             raise GraphError(f"{len(pairs)} edges but {len(z)} measurements")
-        dimension = 2 if z.shape[1] == 3 else 3
+        dof = lie.DOF[2 if z.shape[1] == 3 else 3]
 
         nodes = checks.distinct(pairs) if ids is None else checks.integers("ids", ids)
         if nodes.ndim != 1:
@@ -151,25 +160,24 @@ class PoseGraph:
                 f"poses must have shape ({len(nodes)}, {z.shape[1]}) to go with the ids and the "
                 f"measurements, got {given.shape}"
             )
-        z = checks.rotations(z, "measurement of edge", pairs, "edge")
+        z = checks.rotations(z, "measurement", pairs, "edge")
         if given is not None:
-            given = checks.rotations(given, "pose of node", nodes, "node")
+            given = checks.rotations(given, "pose", nodes, "node")
         nodes, given = checks.ascending(nodes, given)
         checks.known_edges(nodes, pairs)
-        held = checks.integers("fixed", sorted(set(fixed)))
-        for node in held[~np.isin(held, nodes)][:1] if len(held) else ():
-            raise GraphError(f"the fixed node {node} is not in the graph")
-        matrices = checks.information_matrices(information, pairs, lie.DOF[dimension])
+        fixed_ids = checks.row_of_integers("fixed", fixed)
+        checks.known_nodes(nodes, fixed_ids, "fixed node")
         graph = cls(
             ids=nodes,
             poses=given,
             edges=pairs,
             measurements=z,
-            information=matrices,
-            fixed=held,
+            information=checks.information_matrices(information, pairs, dof),
+            fixed=fixed_ids,
             notes=tuple(notes),
+            labels=checks.edge_labels(labels, len(pairs)),
         )
-        graph._check_fixed()
+        graph.structure.check_fixed(given)
         return graph
 
     @property
@@ -182,11 +190,23 @@ class PoseGraph:
         """Degrees of freedom of a pose: 3 or 6."""
         return lie.DOF[self.dimension]
 
+    @cached_property
+    def chi2_per_edge(self) -> Floats:
+        """The cost e' W e of each edge at the graph's poses, (m,): residual e, information W."""
+        return locked(residuals.chi2_per_edge(self))
+
+    @property
+    def chi2(self) -> float:
+        """The sum of `chi2_per_edge`: the cost that `masat.optimize` minimizes."""
+        return float(self.chi2_per_edge.sum())
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
     def __repr__(self) -> str:
-        placed = "with" if self.poses is not None else "without"
         return (
             f"PoseGraph({self.dimension}D, {len(self.ids)} nodes, {len(self.edges)} edges, "
-            f"{placed} poses)"
+            f"{'without' if self.poses is None else 'with'} poses)"
         )
 
     def with_poses(self, poses: ArrayLike, *, notes: Iterable[str] = ()) -> PoseGraph:
@@ -194,12 +214,12 @@ class PoseGraph:
 
         `notes` are added to those of the graph.
         """
-        given = checks.matrix("poses", poses)
+        given = checks.table("poses", poses)
         if given.shape != (len(self.ids), lie.POSE_SIZE[self.dimension]):
             raise GraphError(f"poses of shape {given.shape} do not fit {self!r}")
         return replace(
             self,
-            poses=checks.rotations(given, "pose of node", self.ids, "node"),
+            poses=checks.rotations(given, "pose", self.ids, "node"),
             notes=tuple(dict.fromkeys([*self.notes, *notes])),
         )
 
@@ -221,6 +241,89 @@ class PoseGraph:
             nodes.
         """
         return replace(self, structure=self.structure.with_roots(root))
+
+    def with_fixed(self, ids: int | Iterable[int]) -> PoseGraph:
+        """Return the graph with these fixed nodes in place of those it has.
+
+        Parameters
+        ----------
+        ids : int or iterable of int
+            Node ids; an empty list fixes none. Several in one component need poses.
+        """
+        return editing.with_fixed(self, ids)
+
+    def with_edges(
+        self,
+        edges: ArrayLike,
+        measurements: ArrayLike,
+        information: ArrayLike | None = None,
+        *,
+        labels: ArrayLike | None = None,
+        ids: ArrayLike | None = None,
+        poses: ArrayLike | None = None,
+    ) -> PoseGraph:
+        """Return the graph with more edges and, if they name any, new nodes.
+
+        The new edges come after those of the graph.
+
+        Parameters
+        ----------
+        edges, measurements, information, labels : array_like
+            The new edges, as in `from_arrays`. If only some edges of the graph have labels, the
+            others get -1 among integers and the empty string among strings.
+        ids : array_like of int, (k,), optional
+            Ids of the new nodes, in the order of `poses`. Default: those that `edges` name and the
+            graph does not have, ascending. If given, an edge to any other unknown node is refused.
+        poses : array_like, (k, 3) or (k, 7), optional
+            Poses of the new nodes. Default, if the graph has poses: a new node is placed by the
+            measurements along the fewest edges from the nodes that the graph had. All others keep
+            their poses.
+
+        Raises
+        ------
+        GraphError
+            As in `from_arrays`, for the new edges and nodes; also if a new node has to be placed
+            but no edges lead to it. Edges are counted from 0 in `edges`.
+        """
+        return editing.with_edges(
+            self, edges, measurements, information, labels=labels, ids=ids, poses=poses
+        )
+
+    def without_edges(self, which: ArrayLike) -> PoseGraph:
+        """Return the graph without some edges; nodes that lose all their edges remain.
+
+        Parameters
+        ----------
+        which : array_like of int, or of bool, (m,)
+            Indices of the edges to remove, or a mask that is true for them.
+        """
+        return editing.without_edges(self, which)
+
+    def without_nodes(self, ids: int | Iterable[int]) -> PoseGraph:
+        """Return the graph without some nodes and without the edges that join them to others.
+
+        Parameters
+        ----------
+        ids : int or iterable of int
+            Ids of the nodes to remove.
+        """
+        return editing.without_nodes(self, ids)
+
+    def relabel(self, to: int | Mapping[int, int] | Callable[[int], int]) -> PoseGraph:
+        """Return the graph with other node ids; edges, fixed nodes and poses follow.
+
+        Parameters
+        ----------
+        to : int, mapping or callable
+            An offset to add to all ids, a mapping from old to new ids (nodes that are not in it
+            keep theirs), or a function from the old to the new id.
+
+        Raises
+        ------
+        GraphError
+            If two nodes would get the same id, or if a new id is no integer of 64 bits.
+        """
+        return editing.relabel(self, to)
 
     def index(self, ids: ArrayLike) -> Ids:
         """Return the indices in `ids` of node ids of any shape; an unknown id is a GraphError."""
@@ -254,12 +357,3 @@ class PoseGraph:
     def elimination(self) -> _core.Elimination:
         """The order in which the optimized nodes are eliminated from the linear systems."""
         return self.structure.elimination
-
-    def _check_fixed(self) -> None:
-        if self.poses is not None or len(self.fixed) < 2:
-            return
-        _, count = np.unique(self.components[self.index(self.fixed)], return_counts=True)
-        if count.max() > 1:
-            raise GraphError(
-                "several fixed nodes of one component need poses: give `poses`, or fix one node"
-            )

@@ -2,7 +2,7 @@
 
 A pose is (x, y, theta) in SE(2) and (x, y, z, qx, qy, qz, qw) in SE(3): meters, radians, unit
 quaternions; it maps coordinates of its own frame to those of its parent. The last axis of an array
-tells the group; the axes before it broadcast.
+has 3 or 7 entries, which makes it SE(2) or SE(3); the axes before it broadcast.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from masat import _checks as checks
 from masat import _core
 from masat.arrays import Floats
+from masat.errors import GraphError
 
 DOF = {2: 3, 3: 6}
 POSE_SIZE = {2: 3, 3: 7}
@@ -19,6 +21,8 @@ POSE_SIZE = {2: 3, 3: 7}
 
 def identity(dimension: int) -> Floats:
     """Return the identity pose of SE(2) or SE(3), (3,) or (7,)."""
+    if dimension not in POSE_SIZE:
+        raise GraphError(f"the dimension must be 2 or 3, got {dimension!r:.40}")
     pose = np.zeros(POSE_SIZE[dimension])
     if dimension == 3:
         pose[6] = 1.0
@@ -26,7 +30,7 @@ def identity(dimension: int) -> Floats:
 
 
 def compose(a: ArrayLike, b: ArrayLike) -> Floats:
-    """Return a * b: the poses b, given in the frames a, in the parent of a.
+    """Return a * b: the poses b, given in the frames a, as poses in the parent frame of a.
 
     Parameters
     ----------
@@ -37,6 +41,12 @@ def compose(a: ArrayLike, b: ArrayLike) -> Floats:
     -------
     ndarray, (..., 3) or (..., 7)
         Poses, headings in [-pi, pi).
+
+    Raises
+    ------
+    GraphError
+        If the arrays are no poses, or if their shapes do not broadcast to each other. The other
+        functions of this module raise it too.
     """
     (first, second), shape = _rows(a, b)
     return _core.compose(first, second).reshape(*shape, first.shape[1])
@@ -54,7 +64,7 @@ def between(a: ArrayLike, b: ArrayLike) -> Floats:
 
 
 def retract(a: ArrayLike, step: ArrayLike) -> Floats:
-    """Return a * X(step), the optimizers' update of a pose.
+    """Return a * X(step): the update that the optimizers apply to a pose.
 
     Parameters
     ----------
@@ -68,16 +78,18 @@ def retract(a: ArrayLike, step: ArrayLike) -> Floats:
     ndarray, (..., 3) or (..., 7)
         Poses.
     """
-    poses, steps = _poses(a), np.asarray(step, np.float64)
+    poses, steps = _poses(a), checks.numbers("steps", step)
     dof = DOF[2 if poses.shape[-1] == 3 else 3]
     if not steps.shape or steps.shape[-1] != dof:
-        raise ValueError(f"steps must have {dof} numbers a pose, got shape {steps.shape}")
-    shape = np.broadcast_shapes(poses.shape[:-1], steps.shape[:-1])
+        raise GraphError(
+            f"steps must have shape (..., {dof}) to go with the poses, got {steps.shape}"
+        )
+    shape = _broadcast(poses, steps)
     return _core.retract(_flat(poses, shape), _flat(steps, shape)).reshape(*shape, poses.shape[-1])
 
 
 def local(a: ArrayLike, b: ArrayLike) -> Floats:
-    """Return the step from a to b, the inverse of `retract`: g2o's error of an edge.
+    """Return the step from a to b, the inverse of `retract`: the residual of an edge in g2o.
 
     Parameters
     ----------
@@ -95,10 +107,19 @@ def local(a: ArrayLike, b: ArrayLike) -> Floats:
 
 
 def _poses(a: ArrayLike) -> Floats:
-    poses = np.asarray(a, np.float64)
+    poses = checks.numbers("poses", a)
     if not poses.shape or poses.shape[-1] not in POSE_SIZE.values():
-        raise ValueError(f"poses must have shape (..., 3) or (..., 7), got {poses.shape}")
+        raise GraphError(f"poses must have shape (..., 3) or (..., 7), got {poses.shape}")
     return poses
+
+
+def _broadcast(*arrays: Floats) -> tuple[int, ...]:
+    """Return the common shape of the axes before the last."""
+    try:
+        return np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
+    except ValueError:
+        shapes = " and ".join(str(a.shape) for a in arrays)
+        raise GraphError(f"arrays of shapes {shapes} do not broadcast to each other") from None
 
 
 def _flat(a: Floats, shape: tuple[int, ...]) -> Floats:
@@ -110,6 +131,7 @@ def _rows(*arrays: ArrayLike) -> tuple[list[Floats], tuple[int, ...]]:
     """Return the arrays as contiguous rows of poses, and the shape that they broadcast to."""
     poses = [_poses(a) for a in arrays]
     if len({p.shape[-1] for p in poses}) > 1:
-        raise ValueError("poses of SE(2) and SE(3) do not mix")
-    shape = np.broadcast_shapes(*(p.shape[:-1] for p in poses))
+        shapes = " and ".join(str(p.shape) for p in poses)
+        raise GraphError(f"poses in 2D and in 3D cannot be combined, got shapes {shapes}")
+    shape = _broadcast(*poses)
     return [_flat(p, shape) for p in poses], shape

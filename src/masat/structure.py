@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from masat import _checks as checks
 from masat import _core
-from masat.arrays import Flags, Ids, Indices, locked
+from masat.arrays import Flags, Floats, Ids, Indices, locked
 from masat.errors import GraphError
 
 # Nested dissection takes about 4 us a node and saves up to half of each factorization. It pays off
@@ -132,14 +132,24 @@ class Structure:
             self.dof,
             np.sort(np.concatenate([self.roots[others], chosen])),
         )
-        out._share_connectivity(self)
+        out.share_connectivity(self)
         return out
 
-    def _share_connectivity(self, other: Structure) -> None:
-        """Take over what `other` has computed; it must have the same edge indices."""
+    def share_connectivity(self, other: Structure) -> None:
+        """Take over what `other` has computed from its edge indices; they must be the same."""
         for name in ("edge_indices", "topology", "components"):
             if name in other.__dict__:
                 self.__dict__[name] = other.__dict__[name]
+
+    def check_fixed(self, poses: Floats | None) -> None:
+        """Refuse several fixed nodes of one component if nothing tells their poses."""
+        if poses is not None or len(self.fixed) < 2:
+            return
+        _, count = np.unique(self.components[self.index(self.fixed)], return_counts=True)
+        if count.max() > 1:
+            raise GraphError(
+                "several fixed nodes of one component need poses: give `poses`, or fix one node"
+            )
 
     def _in_gauge(self) -> Flags:
         out = np.zeros(len(self.ids), np.bool_)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from masat.arrays import Floats, Ids
+from masat.arrays import Floats, Ids, locked
 from masat.errors import FormatError, MasatError
 from masat.files import write_atomically
 from masat.graph import PoseGraph
@@ -67,6 +67,13 @@ class Result:
     init: str | None = None
     init_seconds: float = 0.0
     certificate: Certificate | None = None
+
+    def __post_init__(self) -> None:
+        self.__dict__["gauge"] = locked(self.gauge)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.__post_init__()
 
     @property
     def poses(self) -> Floats:
@@ -128,7 +135,7 @@ class Result:
             "certificate": self.certificate and self.certificate.to_dict(),
             "notes": graph.notes,
         }
-        labels = {} if graph.labels is None else {"labels": graph.labels}
+        labels: dict[str, Any] = {} if graph.labels is None else {"labels": graph.labels}
         buffer = io.BytesIO()
         np.savez_compressed(
             buffer,
