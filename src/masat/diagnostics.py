@@ -105,6 +105,14 @@ def diagnose(graph: PoseGraph) -> Diagnosis:
     )
 
 
+def has_placeholder_poses(graph: PoseGraph) -> bool:
+    """Whether all nodes that are not fixed have the same pose, as in files without a guess."""
+    if graph.poses is None:
+        return False
+    free = graph.poses[~np.isin(graph.ids, graph.fixed)]
+    return len(free) > 1 and bool((free == free[0]).all())
+
+
 def _oddities(
     graph: PoseGraph,
     sizes: list[int],
