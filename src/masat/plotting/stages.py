@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from masat.diagnostics import has_placeholder_poses
 from masat.graph import PoseGraph
 from masat.initializers.odometry import odometry
 from masat.initializers.spanning_tree import spanning_tree
+from masat.issues import has_placeholder_poses
 
 
 def before_and_after(graph: PoseGraph, result: PoseGraph) -> dict[str, PoseGraph]:
