@@ -1,50 +1,68 @@
-"""What a pose graph is like, and what is odd about it."""
+"""What a pose graph is like: sizes, connectivity, information, and the fit of its own poses."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from masat.arrays import Floats, Ids
+from masat.arrays import Flags, Floats
 from masat.graph import PoseGraph
+from masat.issues import duplicate_edges, find_issues, repeated_pairs
 from masat.residuals import chi2_per_edge
-
-_WIDE = 1e9
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Figures about a graph; see `diagnose`.
+    """What `diagnose` found out about a graph.
 
     Attributes
     ----------
-    dimension, nodes, edges : int
-        Sizes.
+    dimension : int
+        2 or 3.
+    nodes, edges : int
+        Number of nodes and of edges.
     ids : tuple of int
-        The smallest and the largest id.
-    odometry_edges, loop_closures : int
-        Edges between consecutive ids, and all others.
+        The smallest and the largest node id.
+    odometry_edges : int
+        Number of edges between consecutive ids. In a list of ids with gaps, neighbors in the list
+        are consecutive.
+    loop_closures : int
+        Number of all other edges.
     chain_gaps : int
-        Pairs of consecutive ids that no edge joins.
+        Number of pairs of consecutive ids that no edge joins.
     repeated_pairs : int
-        Pairs of nodes that more than one edge joins.
+        Number of pairs of nodes that more than one edge joins, in whichever direction.
+    duplicate_edges : int
+        Number of edges that repeat an earlier edge: the same nodes in the same direction, and the
+        same measurement.
     components : tuple of int
         Number of nodes of each connected component, largest first.
-    degree : tuple of float
-        Least, median and largest number of edges at a node.
+    degree : tuple of (int, float, int)
+        Smallest, median and largest number of edges at a node.
     fixed : tuple of int
         Ids of the fixed nodes.
     information : tuple of float
-        Least and largest eigenvalue of all information matrices; (0, 0) without edges.
+        Smallest and largest eigenvalue of all information matrices; (0, 0) without edges.
     condition : float
-        Largest ratio of eigenvalues within one information matrix.
-    chi2, reduced_chi2 : float or None
-        At the graph's own poses; None without poses, or degrees of freedom.
+        Largest ratio of the largest to the smallest eigenvalue of one information matrix, at most
+        4.5e15, since double precision tells no more; 1 without edges.
+    information_ratio : float or None
+        Median information of the odometry edges divided by that of the loop closures, where the
+        information of an edge is the geometric mean of its eigenvalues. None if either kind is
+        missing.
+    chi2 : float or None
+        chi2 at the graph's own poses: the sum over all edges of e' W e. None without poses.
+    degrees_of_freedom : int
+        Number of measured values minus the number of unknown ones.
+    reduced_chi2 : float or None
+        chi2 divided by the degrees of freedom; about 1 if the poses are optimal and the information
+        is that of the noise. None without poses, or if no degrees of freedom are left.
     worst_edges : tuple of (int, int, float)
-        The five edges (from, to, chi2) that fit the poses worst.
-    odd : tuple of str
-        What to look at before trusting a result.
+        Up to five edges (from, to, chi2) with the largest chi2, largest first.
+    issues : tuple of str
+        The notes of the graph, and what to look at before a result is trusted. Each issue says what
+        was found, and then what to do.
     """
 
     dimension: int
@@ -55,89 +73,91 @@ class Diagnosis:
     loop_closures: int
     chain_gaps: int
     repeated_pairs: int
+    duplicate_edges: int
     components: tuple[int, ...]
     degree: tuple[int, float, int]
     fixed: tuple[int, ...]
     information: tuple[float, float]
     condition: float
+    information_ratio: float | None
     chi2: float | None
+    degrees_of_freedom: int
     reduced_chi2: float | None
     worst_edges: tuple[tuple[int, int, float], ...]
-    odd: tuple[str, ...]
+    issues: tuple[str, ...]
+
+    def _repr_html_(self) -> str:
+        from masat.display import diagnosis_html
+
+        return diagnosis_html(self)
 
 
 def diagnose(graph: PoseGraph) -> Diagnosis:
-    """Look a graph over: sizes, connectivity, information, fit of its own poses, oddities."""
+    """Examine a graph: sizes, connectivity, information, fit of its own poses, and issues.
+
+    Nothing is optimized and nothing is changed. Graphs without edges or without poses can be
+    examined too.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        The graph as it was read, or as an optimizer left it.
+
+    Returns
+    -------
+    Diagnosis
+    """
     n, m = len(graph.ids), len(graph.edges)
-    pairs = np.sort(graph.edge_indices.astype(np.int64), axis=1)
-    keys = pairs[:, 0] * n + pairs[:, 1]
-    consecutive = pairs[:, 1] - pairs[:, 0] == 1
-    chained = len(np.unique(keys[consecutive]))
-    _, multiplicity = np.unique(keys, return_counts=True)
-    sizes = np.sort(np.bincount(graph.components))[::-1]
-    degree = np.bincount(pairs.ravel(), minlength=n)
-    spectrum = np.linalg.eigvalsh(graph.information).astype(np.float64)
-    cost = chi2_per_edge(graph) if graph.poses is not None else None
-    free = n - len(graph.gauge)
-    dof = graph.dof * (m - free)
-    worst: list[tuple[int, int, float]] = []
-    if cost is not None:
-        places = np.argsort(-cost, kind="stable")[:5]
-        worst = [(int(graph.edges[k, 0]), int(graph.edges[k, 1]), float(cost[k])) for k in places]
-    return Diagnosis(
+    low, high = np.sort(graph.edge_indices, axis=1).T
+    is_odometry = high - low == 1
+    odometry_edges = int(is_odometry.sum())
+    degree = np.bincount(graph.edge_indices.ravel(), minlength=n)
+    eigenvalues = np.linalg.eigvalsh(graph.information).astype(np.float64)
+    chi2 = None if graph.poses is None else chi2_per_edge(graph)
+    degrees_of_freedom = graph.dof * (m - (n - len(graph.gauge)))
+    diagnosis = Diagnosis(
         dimension=graph.dimension,
         nodes=n,
         edges=m,
         ids=(int(graph.ids[0]), int(graph.ids[-1])),
-        odometry_edges=int(consecutive.sum()),
-        loop_closures=int(m - consecutive.sum()),
-        chain_gaps=n - 1 - chained,
-        repeated_pairs=int((multiplicity > 1).sum()),
-        components=tuple(sizes.tolist()),
+        odometry_edges=odometry_edges,
+        loop_closures=m - odometry_edges,
+        chain_gaps=n - 1 - len(np.unique(low[is_odometry])),
+        repeated_pairs=repeated_pairs(graph, without=np.empty(0, np.int64))[0],
+        duplicate_edges=len(duplicate_edges(graph)),
+        components=tuple(np.sort(np.bincount(graph.components))[::-1].tolist()),
         degree=(int(degree.min()), float(np.median(degree)), int(degree.max())),
         fixed=tuple(graph.fixed.tolist()),
-        information=(float(spectrum.min()), float(spectrum.max())) if m else (0.0, 0.0),
-        condition=float((spectrum[:, -1] / spectrum[:, 0]).max()) if m else 1.0,
-        chi2=None if cost is None else float(cost.sum()),
-        reduced_chi2=None if cost is None or dof <= 0 else float(cost.sum()) / dof,
-        worst_edges=tuple(worst),
-        odd=(*graph.notes, *_oddities(graph, sizes.tolist(), degree, spectrum, chained)),
+        information=(float(eigenvalues.min()), float(eigenvalues.max())) if m else (0.0, 0.0),
+        condition=_condition(eigenvalues),
+        information_ratio=_information_ratio(graph, is_odometry),
+        chi2=None if chi2 is None else float(chi2.sum()),
+        degrees_of_freedom=degrees_of_freedom,
+        reduced_chi2=None
+        if chi2 is None or degrees_of_freedom == 0
+        else float(chi2.sum()) / degrees_of_freedom,
+        worst_edges=() if chi2 is None else _worst_edges(graph, chi2),
+        issues=(),
     )
+    return replace(diagnosis, issues=(*graph.notes, *find_issues(graph, diagnosis)))
 
 
-def _oddities(
-    graph: PoseGraph,
-    sizes: list[int],
-    degree: Ids,
-    spectrum: Floats,
-    chained: int,
-) -> list[str]:
-    n, m = len(graph.ids), len(graph.edges)
-    odd = []
-    if len(sizes) > 1:
-        alone = int((degree == 0).sum())
-        odd.append(
-            f"{len(sizes)} components with nothing measured between them"
-            + (f", {alone} of them single nodes without an edge" if alone else "")
-        )
-    if m == n - len(sizes):
-        odd.append("no loop is closed: every guess along the edges fits exactly")
-    if chained < n - 1:
-        pairs = np.sort(graph.edge_indices, axis=1)
-        present = pairs[pairs[:, 1] - pairs[:, 0] == 1, 0]
-        k = np.setdiff1d(np.arange(n - 1), present)[0]
-        odd.append(
-            f"the odometry chain is broken {n - 1 - chained} times, first between "
-            f"{graph.ids[k]} and {graph.ids[k + 1]}"
-        )
-    if m and (spectrum[:, -1] > _WIDE * spectrum[:, 0]).any():
-        k = int((spectrum[:, -1] / spectrum[:, 0]).argmax())
-        odd.append(
-            f"the information of edge {graph.edges[k, 0]} -> {graph.edges[k, 1]} spans "
-            f"{spectrum[k, 0]:.3g} to {spectrum[k, -1]:.3g}: nearly singular"
-        )
-    if graph.poses is not None and n > 1 and (graph.poses == graph.poses[0]).all():
-        odd.append("all poses are the same: placeholders, not a guess")
-    if len(graph.fixed) == n:
-        odd.append("every node is fixed: nothing can move")
-    return odd
+def _condition(eigenvalues: Floats) -> float:
+    if len(eigenvalues) == 0:
+        return 1.0
+    high = eigenvalues[:, -1]
+    # The smallest eigenvalue of a nearly singular matrix may come out as zero or below.
+    return float((high / np.maximum(eigenvalues[:, 0], np.finfo(np.float64).eps * high)).max())
+
+
+def _information_ratio(graph: PoseGraph, is_odometry: Flags) -> float | None:
+    if is_odometry.all() or not is_odometry.any():
+        return None
+    # By logarithms: a product of six eigenvalues may be out of range.
+    log_means = np.linalg.slogdet(graph.information).logabsdet / graph.dof
+    return float(np.exp(np.median(log_means[is_odometry]) - np.median(log_means[~is_odometry])))
+
+
+def _worst_edges(graph: PoseGraph, chi2: Floats) -> tuple[tuple[int, int, float], ...]:
+    worst = np.argsort(-chi2, kind="stable")[:5]
+    return tuple((int(graph.edges[k, 0]), int(graph.edges[k, 1]), float(chi2[k])) for k in worst)

@@ -9,6 +9,7 @@ import click
 
 from masat.cli import options, show
 from masat.diagnostics import Diagnosis, diagnose
+from masat.errors import MasatError
 
 
 @click.command(epilog="Example:  masat info M3500.g2o")
@@ -17,7 +18,7 @@ from masat.diagnostics import Diagnosis, diagnose
     "--plot",
     "picture",
     type=click.Path(path_type=Path),
-    help="Picture of FILE's own poses, edges colored by their error.",
+    help="Picture of FILE's own poses, each edge colored by its chi2.",
 )
 @options.output
 def info(
@@ -28,9 +29,14 @@ def info(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Say what the pose graph in FILE is like, and what is odd about it."""
+    """Describe the pose graph in FILE: sizes, connectivity, information, fit, and issues.
+
+    Each issue says what was found, and then what to do before a result is trusted.
+    """
     options.check_picture(picture)
     graph = options.load(file, file_format, indefinite, quiet=True)
+    if picture is not None and graph.poses is None:
+        raise MasatError(f"{file} has no poses to draw: masat solve --plot draws a solved map")
     diagnosis = diagnose(graph)
     if picture is not None:
         from masat.plotting import plot
@@ -53,10 +59,10 @@ def _tell(d: Diagnosis) -> None:
         (
             "edges",
             f"{d.edges}: {d.odometry_edges} odometry, {d.loop_closures} loop closures, "
-            f"{d.repeated_pairs} pairs measured more than once",
+            f"{d.repeated_pairs} pairs of nodes with more than one edge",
         ),
-        ("components", f"{len(d.components)} (nodes: {sizes})"),
-        ("degree", f"{d.degree[0]} to {d.degree[2]}, median {d.degree[1]:g}"),
+        ("components", f"{len(d.components)}, of {sizes} nodes"),
+        ("degree", f"{d.degree[0]} to {d.degree[2]} edges at a node, median {d.degree[1]:g}"),
         (
             "information",
             f"eigenvalues {d.information[0]:.4g} to {d.information[1]:.4g}, "
@@ -67,7 +73,6 @@ def _tell(d: Diagnosis) -> None:
     if d.worst_edges:
         worst = ", ".join(f"{a} -> {b} ({chi2:.3g})" for a, b, chi2 in d.worst_edges[:3])
         rows.append(("worst edges", worst))
-    for text in d.odd:
-        rows.append(("odd", text))
+    rows += [("issues", issue) for issue in d.issues or ("none",)]
     for name, text in rows:
         click.echo(f"{name:<12} {text}")

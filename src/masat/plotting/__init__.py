@@ -1,0 +1,6 @@
+"""Pictures of pose graphs."""
+
+from masat.plotting.figures import plot
+from masat.plotting.stages import before_and_after
+
+__all__ = ["before_and_after", "plot"]
