@@ -55,7 +55,7 @@ def graph_of(name: str) -> masat.PoseGraph:
         graph = perturb(city(100_000, seed=1), [0.05, 0.05, 0.02], seed=1)
     else:
         graph = quietly_read(DATA / CASES[name].file)
-    return masat.initialize(graph)
+    return masat.initialize(graph, "masat")
 
 
 def analyze(graph: masat.PoseGraph) -> None:

@@ -56,7 +56,7 @@ def measure(case: Case) -> str:
     graph = quietly_read(case.source)
     took = medians(
         {
-            "iteration": partial(iterate, masat.initialize(unused(graph))),
+            "iteration": partial(iterate, masat.initialize(unused(graph), "masat")),
             "masat": partial(masat.initialize, graph, "masat"),
             "most_informed_first": partial(masat.initialize, graph, "most_informed_first"),
             "chordal": partial(fresh, graph, "chordal"),

@@ -30,7 +30,7 @@ def solve(file: Path) -> dict[str, float]:
     begin = perf_counter()
     graph = masat.read(file)
     read = perf_counter()
-    guess = masat.initialize(graph)
+    guess = masat.initialize(graph, "masat")
     first = perf_counter()
     result = masat.optimize(guess, "gauss_newton")
     done = perf_counter()
@@ -39,7 +39,7 @@ def solve(file: Path) -> dict[str, float]:
     again = []
     for _ in range(5):
         begun = perf_counter()
-        masat.initialize(graph)
+        masat.initialize(graph, "masat")
         again.append(perf_counter() - begun)
     return {
         "poses": len(graph.ids),

@@ -147,7 +147,7 @@ def solvers(
     }
     rows["gtsam"] = partial(best, with_gtsam.paths(file, graph, folder), True)
     rows["g2o"] = partial(best, with_g2o.paths(file))
-    guess = masat.initialize(graph)
+    guess = masat.initialize(graph, "masat")
     rows["g2o from MASAT"] = partial(best, {"GN": with_g2o.path_from(guess)})
     return rows
 
@@ -180,7 +180,7 @@ def whole(case: Case, folder: File) -> None:
 
 def iterations(case: Case, folder: File, count: int = 6) -> dict[str, float]:
     """Return the median ms of a Gauss-Newton iteration, all from MASAT's poses."""
-    guess = masat.initialize(quietly_read(case.plain(folder)))
+    guess = masat.initialize(quietly_read(case.plain(folder)), "masat")
     file = folder / "guess.g2o"
     masat.write(guess, file)
     tasks: dict[str, Callable[[], list[float]]] = {

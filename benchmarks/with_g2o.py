@@ -55,7 +55,7 @@ def built(graph: masat.PoseGraph, optimizer: str) -> Any:
     whole.set_algorithm(_OPTIMIZERS[optimizer](block_solver(linear)))
     poses = graph.poses
     if poses is None:
-        poses = masat.initialize(graph).poses
+        poses = masat.initialize(graph, "masat").poses
         assert poses is not None
     vertices = []
     for index, value in enumerate(poses):

@@ -108,7 +108,7 @@ def test_a_wrong_loop_has_no_say(world, sigma):
         aligned = lie.between(truth.poses[0], truth.poses)[:, : truth.dimension]
         return np.abs(graph.poses[:, : truth.dimension] - aligned).max()
 
-    misled = masat.optimize(masat.initialize(wrong), "gauss_newton").graph
+    misled = masat.optimize(masat.initialize(wrong, "masat"), "gauss_newton").graph
     assert error(cauchy(wrong)) < 0.2 * error(misled)
 
 

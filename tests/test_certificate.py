@@ -34,7 +34,7 @@ def test_without_lifting_a_local_minimum_stays_undecided():
 
 def test_in_3d_with_isotropic_information_the_proof_is_of_chi2_itself():
     graph = isotropic(perturb(sphere(200, seed=0), [0.05] * 6, seed=0))
-    result = masat.optimize(masat.initialize(graph))
+    result = masat.optimize(masat.initialize(graph, "masat"))
     proof = certify(result.graph)
     assert proof.certified
     assert proof.exact
@@ -55,11 +55,11 @@ def test_the_scale_of_the_information_does_not_matter(information):
 
 def test_a_chain_is_certified():
     chain = PoseGraph.from_arrays([(0, 1), (1, 2)], [(1, 0, 0.3)] * 2)
-    assert certify(masat.initialize(chain)).certified
+    assert certify(masat.initialize(chain, "masat")).certified
 
 
 def test_a_single_node_is_certified():
-    assert certify(masat.initialize(PoseGraph.from_arrays([], np.zeros((0, 3)), ids=[7]))).certified
+    assert certify(masat.initialize(PoseGraph.from_arrays([], np.zeros((0, 3)), ids=[7]), "masat")).certified
 
 
 def test_a_graph_without_poses_has_nothing_to_certify():

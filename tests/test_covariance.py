@@ -100,7 +100,7 @@ def test_uncertainty_grows_along_a_chain():
 
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_an_edge_of_a_tree_is_as_sure_as_it_says(dimension):
-    graph = masat.initialize(random_graph(dimension, 60, 0, seed=1, noise=0.1))
+    graph = masat.initialize(random_graph(dimension, 60, 0, seed=1, noise=0.1), "masat")
     expected = np.linalg.inv(graph.information)
     assert_close(masat.relative_covariances(graph, graph.edges), expected, 1e-9)
 
@@ -175,7 +175,7 @@ def test_gtsam_says_the_same(dimension):
 
 @pytest.mark.parametrize("name", ["2d/input_M3500_g2o.g2o", "3d/sphere2500.g2o"])
 def test_columns_of_a_real_graphs_inverse_are_solutions(name, data_dir):
-    graph = masat.initialize(masat.read(data_dir / name))
+    graph = masat.initialize(masat.read(data_dir / name), "masat")
     equations = normal_equations(graph)
     equations.linearize(graph.poses)
     undamped = np.zeros_like(equations.rhs())
@@ -221,7 +221,7 @@ def test_what_cannot_be_told_is_refused():
     bare = PoseGraph.from_arrays([(3, 7)], [(1, 0, 0)])
     with pytest.raises(OptimizationError, match=r"no poses.*masat\.initialize"):
         masat.covariances(bare)
-    graph = masat.initialize(bare)
+    graph = masat.initialize(bare, "masat")
     with pytest.raises(GraphError, match="no node 5"):
         masat.covariances(graph, [3, 5])
     with pytest.raises(GraphError, match="no node 5"):

@@ -3,12 +3,14 @@ import pytest
 
 import masat
 from masat import PoseGraph, lie
-from masat.optimality import cycles as windings
-from masat.optimality import search as minima
+from masat.optimality import search as searching
+from masat.optimality.cycles import AmbiguousCycles
+from masat.optimizers.equations import normal_equations
+from masat.progress import Progress
 
 
 def ring(count, dimension, axis=(0.0, 0.0, 1.0), turns=0):
-    """Exact measurements along a closed polygon, and poses whose rotations go round once more."""
+    """Exact measurements along a closed polygon, and poses whose rotations rotate once more."""
     angles = 2 * np.pi * np.arange(count) / count
     if dimension == 2:
         truth = np.column_stack([np.cos(angles), np.sin(angles), angles + np.pi / 2])
@@ -21,7 +23,7 @@ def ring(count, dimension, axis=(0.0, 0.0, 1.0), turns=0):
         twist[:, 6] = np.cos(turns * angles / 2)
     start = np.arange(count)
     end = np.roll(start, -1)
-    # Rotations well known, positions hardly: nothing but the rotations holds the ring.
+    # Rotations well known, positions hardly: the rotations decide.
     information = np.diag([1e-4] * dimension + [100.0] * (3 if dimension == 3 else 1))
     return PoseGraph.from_arrays(
         np.column_stack([start, end]),
@@ -35,68 +37,68 @@ def chi2(graph, poses):
     return masat.optimize(graph.with_poses(poses), max_iterations=0).chi2
 
 
-def turn_loops(graph, monkeypatch):
-    """Return what turns alone make of a graph."""
-    monkeypatch.setattr(minima, "lift", lambda part, **_: part.poses)
-    search = minima._Search(graph, seed=0)
-    return search, search.at_weak_loops()
+def shift_cycles(graph, monkeypatch):
+    """Return what shifts alone make of a graph."""
+    monkeypatch.setattr(searching, "lift", lambda part, **_: part.poses)
+    search = searching._Search(graph, 0, Progress(), normal_equations(graph))
+    return search, search.at_cycles()
 
 
 @pytest.mark.parametrize(
     ("dimension", "axis"), [(2, None), (3, (0, 0, 1)), (3, (1, 0, 0)), (3, (0.6, 0.0, 0.8))]
 )
 @pytest.mark.parametrize("turns", [1, -1, 0])
-def test_a_ring_turned_once_too_often_is_turned_back(dimension, axis, turns, monkeypatch):
+def test_a_ring_with_a_wrong_winding_number_is_shifted_back(dimension, axis, turns, monkeypatch):
     graph = ring(24, dimension, axis, turns)
     local = masat.optimize(graph)
     if turns:
         assert local.chi2 > 40  # 24 errors of 15 degrees
-    search, lower = turn_loops(local.graph, monkeypatch)
+    search, lower = shift_cycles(local.graph, monkeypatch)
     assert lower == (turns != 0)
     assert chi2(graph, search.poses) < 1e-9
     assert np.isclose(search.chi2, chi2(graph, search.poses), atol=1e-9)
     assert (search.poses[0] == local.graph.poses[0]).all()
 
 
-def test_edges_of_a_ring_share_a_turn():
+def test_edges_of_a_ring_share_a_shift():
     graph = ring(10, 2, turns=0)
-    loops = windings.WeakLoops(graph)
-    assert np.allclose(loops._slack, 0.1)
-    turned = loops.response(3)
-    shared = turned[graph.edge_indices[:, 1]] - turned[graph.edge_indices[:, 0]]
+    cycles = AmbiguousCycles(graph)
+    assert np.allclose(cycles._kept, 0.1)
+    rotations = cycles.rotations(3)
+    shared = rotations[graph.edge_indices[:, 1]] - rotations[graph.edge_indices[:, 0]]
     shared[3] -= 2 * np.pi
     assert np.allclose(shared, -2 * np.pi / 10)
 
 
-def test_a_ring_promises_what_the_turn_brings():
+def test_a_ring_promises_what_the_shift_gains():
     graph = ring(24, 2, turns=1)
-    loops = windings.WeakLoops(graph)
-    assert sorted(loops.weak_edges(graph.poses)) == list(range(24))
-    (loop,) = loops.promising(graph.poses)
-    assert np.isclose(loop.error, 2 * np.pi / 24)
+    cycles = AmbiguousCycles(graph)
+    assert sorted(cycles.edges(graph.poses)) == list(range(24))
+    (cycle,) = cycles.at(graph.poses)
+    assert np.isclose(cycle.residual, 2 * np.pi / 24)
     # Of 100 * 24 * (2 pi / 24)^2 nothing is left: 100 * 4 pi (pi / 24 - 2 pi / 24).
     assert np.isclose(chi2(graph, graph.poses), 100 * 4 * np.pi * np.pi / 24, rtol=1e-4)
 
 
-def test_a_twist_between_fixed_nodes_is_turned_back(monkeypatch):
-    """Where several nodes are fixed, none of them may turn: the chain between them does."""
+def test_a_twist_between_fixed_nodes_is_shifted_back(monkeypatch):
+    """Where several nodes are fixed, none of them may rotate: the chain between them does."""
     whole = ring(24, 2)
-    # The twist makes its turn within nodes 0 to 20, and these two are held as they should be.
-    turned = np.append(2 * np.pi * np.arange(21) / 20, [0.0, 0.0, 0.0])
-    poses = whole.poses + np.column_stack([np.zeros((24, 2)), turned])
+    # The twist is within nodes 0 to 20, and these two have the poses that they should have.
+    twist = np.append(2 * np.pi * np.arange(21) / 20, [0.0, 0.0, 0.0])
+    poses = whole.poses + np.column_stack([np.zeros((24, 2)), twist])
     poses[20] = whole.poses[20]
     fixed = PoseGraph.from_arrays(
         whole.edges, whole.measurements, whole.information, poses=poses, fixed=[0, 20]
     )
     local = masat.optimize(fixed)
     assert local.chi2 > 40
-    search, lower = turn_loops(local.graph, monkeypatch)
+    search, lower = shift_cycles(local.graph, monkeypatch)
     assert lower
     assert search.chi2 < 1e-9
     assert (search.poses[[0, 20]] == whole.poses[[0, 20]]).all()
 
 
-def test_components_are_turned_each_for_itself(monkeypatch):
+def test_each_component_is_shifted_by_itself(monkeypatch):
     one = ring(24, 2, turns=1)
     both = PoseGraph.from_arrays(
         np.concatenate([one.edges, one.edges + 100]),
@@ -105,7 +107,7 @@ def test_components_are_turned_each_for_itself(monkeypatch):
         poses=np.concatenate([one.poses, one.poses]),
     )
     local = masat.optimize(both)
-    search, lower = turn_loops(local.graph, monkeypatch)
+    search, lower = shift_cycles(local.graph, monkeypatch)
     assert lower
     assert search.chi2 < 1e-9
     held = both.index(both.gauge)

@@ -184,8 +184,8 @@ def test_fixed_nodes_keep_their_poses_and_are_the_roots(method):
 def test_a_root_beside_fixed_nodes_is_refused():
     graph = PoseGraph.from_arrays([(0, 1)], [(1, 0, 0)], fixed=[0])
     with pytest.raises(InitializationError, match="root 1 is not fixed"):
-        masat.initialize(graph, root=1)
-    assert (masat.initialize(graph, root=0).poses[0] == 0).all()
+        masat.initialize(graph, "masat", root=1)
+    assert (masat.initialize(graph, "masat", root=0).poses[0] == 0).all()
 
 
 def test_odometry_follows_the_chain_and_not_a_shorter_way():
@@ -235,7 +235,7 @@ def test_unknown_methods_and_roots_are_refused():
     with pytest.raises(InitializationError, match=r"unknown initial guess 'magic'.*masat"):
         masat.initialize(graph, "magic")
     with pytest.raises(GraphError, match="no node 99"):
-        masat.initialize(graph, root=99)
+        masat.initialize(graph, "masat", root=99)
 
 
 @pytest.mark.parametrize("method", WALKS)

@@ -118,7 +118,7 @@ def test_a_kept_analysis_serves_every_linearization(dimension):
 @pytest.mark.parametrize("method", METHODS)
 def test_a_contradiction_is_shared_out_evenly(method):
     # 1 + 1 measured against 2.3: each of the three edges takes 0.1.
-    result = masat.optimize(masat.initialize(line(1, 1, 2.3)), method)
+    result = masat.optimize(masat.initialize(line(1, 1, 2.3), "masat"), method)
     assert result.converged
     assert np.allclose(result.poses[:, 0], [0, 1.1, 2.2], atol=1e-9)
     assert np.isclose(result.chi2, 0.03)
@@ -130,7 +130,7 @@ def test_a_contradiction_is_shared_out_evenly(method):
 def test_information_decides_who_yields(method):
     weights = [np.diag([w, 1, 1]) for w in (1, 1, 4)]
     graph = line(1, 1, 2.9, information=weights)
-    result = masat.optimize(masat.initialize(graph), method)
+    result = masat.optimize(masat.initialize(graph, "masat"), method)
     # 0.9 is shared out as 1/w: 0.4, 0.4, 0.1.
     assert np.allclose(result.poses[:, 0], [0, 1.4, 2.8], atol=1e-9)
 
@@ -179,14 +179,14 @@ BEST = {
 @pytest.mark.parametrize(("name", "best"), BEST.items())
 def test_masat_leads_to_the_best_known_minimum(name, best, method, data_dir):
     graph = masat.read(data_dir / name, indefinite="identity")
-    result = masat.optimize(masat.initialize(graph), method)
+    result = masat.optimize(masat.initialize(graph, "masat"), method)
     assert result.converged
     assert result.chi2 <= best * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_tree_fits_exactly_and_has_no_reduced_chi2(method, data_dir):
-    result = masat.optimize(masat.initialize(masat.read(data_dir / "2d/kitti_08.g2o")), method)
+    result = masat.optimize(masat.initialize(masat.read(data_dir / "2d/kitti_08.g2o"), "masat"), method)
     assert result.converged
     assert result.chi2 < 1e-20
     assert result.degrees_of_freedom == 0
@@ -205,7 +205,7 @@ def test_mit_has_a_local_minimum(start, data_dir):
 def test_a_noisy_world_is_explained_as_well_as_its_noise_allows(method):
     truth = manhattan(400, 900, extent=12, seed=1)
     noisy = perturb(truth, (0.05, 0.05, 0.02), seed=2)
-    result = masat.optimize(masat.initialize(noisy), method)
+    result = masat.optimize(masat.initialize(noisy, "masat"), method)
     # The reduced chi2 of n degrees of freedom has a standard deviation of sqrt(2 / n).
     assert abs(result.reduced_chi2 - 1) < 4 * np.sqrt(2 / result.degrees_of_freedom)
     assert np.isclose(result.chi2, chi2_by_hand(noisy, result.poses).sum())
@@ -271,7 +271,7 @@ def test_the_best_poses_are_returned_when_it_does_not_converge(data_dir):
 
 
 def test_tolerances_stop_as_they_say():
-    graph = masat.initialize(perturb(manhattan(500, 900, extent=14), (0.1, 0.1, 0.1)))
+    graph = masat.initialize(perturb(manhattan(500, 900, extent=14), (0.1, 0.1, 0.1)), "masat")
     loose = masat.optimize(graph, "gauss_newton", relative_tolerance=1e-2)
     tight = masat.optimize(graph, "gauss_newton", relative_tolerance=1e-12)
     assert loose.reason is StopReason.RELATIVE_CHANGE
@@ -294,7 +294,7 @@ def test_a_damped_method_never_climbs(method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_history_tells_each_iteration_and_the_caller_can_stop(method):
-    graph = masat.initialize(perturb(manhattan(500, 900, extent=14), (0.1, 0.1, 0.1)))
+    graph = masat.initialize(perturb(manhattan(500, 900, extent=14), (0.1, 0.1, 0.1)), "masat")
     seen = []
     result = masat.optimize(graph, method, report=seen.append)
     assert tuple(seen) == result.history
@@ -307,7 +307,7 @@ def test_history_tells_each_iteration_and_the_caller_can_stop(method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_the_same_input_gives_the_same_numbers(method):
-    graph = masat.initialize(perturb(manhattan(500, 900, extent=14), (0.1, 0.1, 0.1)))
+    graph = masat.initialize(perturb(manhattan(500, 900, extent=14), (0.1, 0.1, 0.1)), "masat")
     one, two = (masat.optimize(graph, method) for _ in range(2))
     assert (one.poses == two.poses).all()
 
@@ -316,7 +316,7 @@ def test_what_cannot_start_is_refused():
     graph = line(1, 1, 2)
     with pytest.raises(OptimizationError, match=r"no poses.*masat\.initialize"):
         masat.optimize(graph)
-    guess = masat.initialize(graph)
+    guess = masat.initialize(graph, "masat")
     with pytest.raises(OptimizationError, match=r"'simplex'.*gauss_newton"):
         masat.optimize(guess, "simplex")
     with pytest.raises(OptimizationError, match="negative"):

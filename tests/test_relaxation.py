@@ -84,7 +84,7 @@ def test_the_certificate_is_that_of_the_dense_matrix(dimension):
         residual[:, j * b : j * b + b] = np.eye(b)
         residual[:d, i * b : i * b + d] = -turns[k].T
         residual[d, i * b : i * b + b] = -np.append(graph.measurements[k, :d], 1)
-        weight = [relaxed.weights.rotation[k]] * d + [relaxed.weights.translation[k]]
+        weight = [relaxed.surrogate.rotation[k]] * d + [relaxed.surrogate.translation[k]]
         dense += residual.T @ np.diag(weight) @ residual
     pulled = (dense @ x.reshape(n * b, -1)).reshape(x.shape)
     for k in range(n):
@@ -96,9 +96,9 @@ def test_the_certificate_is_that_of_the_dense_matrix(dimension):
     onto = np.tile([1.0] * d + [0.0], n - 1)
     for shift in (1e-6, 1e-3, 0.1, 1.0, 10.0):
         positive = np.linalg.eigvalsh(s + shift * np.diag(onto)).min() > 0
-        gap = _core.lifted_gap(relaxed._matrix, forcing, x[1:].copy(), shift)
+        gap = _core.certificate_gap(relaxed._matrix, forcing, x[1:].copy(), shift, 0.0)
         assert np.isfinite(gap) == positive
-        weak = _core.weak_nodes(relaxed._matrix, forcing, x[1:].copy(), shift)
+        weak = _core.uncertified_nodes(relaxed._matrix, forcing, x[1:].copy(), shift)
         assert (len(weak) == 0) == positive
         assert np.all(np.diff(weak) > 0)
         # With these held, it is positive.
@@ -214,7 +214,7 @@ def test_the_weights_of_badly_conditioned_information_are_positive(spread):
         graph = PoseGraph.from_arrays(edges, z, information)
     except masat.InformationError:
         return  # indefinite by rounding, and refused
-    weights = linear.isotropic_weights(graph)
+    weights = isotropic_weights(graph.information)
     true = 3 / (1 + 2 / spread)
     assert np.all(weights.translation > 0)
     if spread > 1e-8:

@@ -1,4 +1,4 @@
-"""Ways from a minimum to lower ones: lifts and turns, of what leaves doubt alone."""
+"""Ways from a minimum to lower ones: only the doubtful parts are lifted and shifted."""
 
 import numpy as np
 import pytest
@@ -9,11 +9,12 @@ from test_relaxation import ring, twisted
 import masat
 from masat import InitializationError, OptimizationError, PoseGraph
 from masat.optimality import relaxation
-from masat.optimality import search as minima
-from masat.optimality.lifting import lift
-from masat.optimality.relaxation import Relaxation
+from masat.optimality import search as searching
+from masat.optimality.relaxation import Relaxation, lift
 from masat.optimality.search import lower_minimum
-from masat.optimality.subgraphs import Surroundings
+from masat.optimality.subgraphs import connected_parts, neighborhood, subgraph
+from masat.optimizers.equations import normal_equations
+from masat.progress import Progress
 from masat.study.names import Case
 from masat.study.trial import guess_of, instance
 
@@ -40,71 +41,72 @@ def mask(count, nodes):
     return out
 
 
-def test_surroundings_of_a_chain():
+def search_of(graph):
+    return searching._Search(graph, 0, Progress(), normal_equations(graph))
+
+
+def test_the_neighborhood_in_a_chain():
     chain = PoseGraph.from_arrays([(k, k + 1) for k in range(9)], np.zeros((9, 3)))
-    around = Surroundings(chain)
-    assert around.edges_at(mask(10, [4])).tolist() == [3, 4]
-    assert np.flatnonzero(around.around(mask(10, [4]))).tolist() == [3, 4, 5]
-    assert np.flatnonzero(around.around(mask(10, [0, 7]), 2)).tolist() == [0, 1, 2, 5, 6, 7, 8, 9]
-    assert len(around.edges_at(mask(10, []))) == 0
-    part, inside = around.region(np.arange(30.0).reshape(10, 3), mask(10, [4, 5]))
+    assert np.flatnonzero(neighborhood(chain, mask(10, [4]))).tolist() == [3, 4, 5]
+    assert np.flatnonzero(neighborhood(chain, mask(10, [0, 7]), 2)).tolist() == [
+        *(0, 1, 2, 5, 6, 7, 8, 9)
+    ]
+    part, inside = subgraph(chain, np.arange(30.0).reshape(10, 3), mask(10, [4, 5]))
     assert part.ids.tolist() == [3, 4, 5, 6]
     assert part.fixed.tolist() == [3, 6]
     assert inside.tolist() == [False, True, True, False]
     assert part.poses[:, 0].tolist() == [9, 12, 15, 18]
 
 
-def test_nodes_without_edges_have_no_surroundings():
+def test_nodes_without_edges_have_no_neighbors():
     alone = PoseGraph.from_arrays([], np.zeros((0, 3)), ids=[3, 5], poses=np.zeros((2, 3)))
-    around = Surroundings(alone)
-    assert len(around.edges_at(mask(2, [1]))) == 0
-    assert around.around(mask(2, [1])).tolist() == [False, True]
+    assert neighborhood(alone, mask(2, [1])).tolist() == [False, True]
 
 
 def test_the_certificate_fails_at_the_twisted_ring():
     graph = two_rings(second_twisted=False)
-    places = Relaxation(graph).weak_places(graph.poses)
-    assert len(places) > 0
-    assert places.max() < 12
+    nodes = Relaxation(graph).uncertified_nodes(graph.poses)
+    assert len(nodes) > 0
+    assert nodes.max() < 12
     straight = two_rings(first_twisted=False, second_twisted=False)
-    assert len(Relaxation(straight).weak_places(straight.poses)) == 0
+    assert len(Relaxation(straight).uncertified_nodes(straight.poses)) == 0
 
 
-def test_each_of_two_weak_places_is_told():
+def test_each_of_two_uncertified_nodes_is_told():
     graph = two_rings()
-    places = Relaxation(graph).weak_places(graph.poses)
-    assert places.min() < 12
-    assert places.max() >= 12 + CHAIN
-    assert np.all((places < 12) | (places >= 12 + CHAIN))
+    nodes = Relaxation(graph).uncertified_nodes(graph.poses)
+    assert nodes.min() < 12
+    assert nodes.max() >= 12 + CHAIN
+    assert np.all((nodes < 12) | (nodes >= 12 + CHAIN))
 
 
 def test_parts_of_a_chain():
     chain = PoseGraph.from_arrays([(k, k + 1) for k in range(9)], np.zeros((9, 3)))
     parts = [
-        np.flatnonzero(part).tolist() for part in Surroundings(chain).parts(mask(10, [0, 4, 5, 7]))
+        np.flatnonzero(part).tolist() for part in connected_parts(chain, mask(10, [0, 4, 5, 7]))
     ]
     assert parts == [[0], [4, 5], [7]]
-    assert list(Surroundings(chain).parts(mask(10, []))) == []
+    assert list(connected_parts(chain, mask(10, []))) == []
 
 
-def test_each_weak_place_is_lifted_for_itself():
+def test_each_uncertified_part_is_lifted_by_itself():
     graph = two_rings()
-    search = minima._Search(graph, seed=0)
+    search = search_of(graph)
     before = search.poses
-    assert search.at_weak_places()
+    assert search.at_uncertified_nodes()
     away = np.arange(12 + 7, 12 + CHAIN - 7)
     assert np.array_equal(search.poses[away], before[away])
     assert np.allclose(np.sin(search.poses[:, 2]), 0, atol=1e-4)
     assert np.allclose(np.cos(search.poses[:, 2]), 1, atol=1e-4)
 
 
-def test_a_good_map_has_no_weak_places():
+def test_a_good_map_has_no_uncertified_nodes():
     best = masat.optimize(random_graph(2, 30, 60, seed=1, noise=0.02)).graph
     search = minima._Search(best, seed=0)
-    settled = search.poses
-    assert not search.at_weak_places()
-    assert not search.at_weak_loops()
-    assert search.poses is settled
+    converged = search.poses
+    assert not search.at_uncertified_nodes()
+    assert not search.at_cycles()
+    assert search.poses is converged
 
 
 def test_what_a_lift_makes_worse_stays(monkeypatch):
@@ -120,16 +122,16 @@ def test_what_a_lift_makes_worse_stays(monkeypatch):
     twisted_again = two_rings().poses
     monkeypatch.setattr("masat.optimality.search.lift", worse_at_the_second)
     monkeypatch.setattr(
-        Relaxation, "weak_places", lambda *_: np.array([3, 12 + CHAIN + 3], np.int32)
+        Relaxation, "uncertified_nodes", lambda *_: np.array([3, 12 + CHAIN + 3], np.int32)
     )
-    search = minima._Search(graph, seed=0)
-    assert search.at_weak_places()
+    search = search_of(graph)
+    assert search.at_uncertified_nodes()
     assert np.allclose(search.poses[:, 2], 0, atol=1e-6)
 
 
 def test_a_trial_that_ends_where_it_began_is_none():
     graph = masat.optimize(random_graph(2, 30, 60, seed=1, noise=0.02)).graph
-    search = minima._Search(graph, seed=0)
+    search = search_of(graph)
     begun = search.poses
     everything = np.ones(len(graph.ids), np.bool_)
     assert not search._try(everything, search._lift)
@@ -147,14 +149,14 @@ def test_a_lift_takes_all_turns_back(dimension, axis):
 
 
 def test_without_memory_for_a_lift_the_poses_stay(monkeypatch):
-    monkeypatch.setattr(relaxation, "_MOST_MEMORY", 0)
+    monkeypatch.setattr(relaxation, "_MAX_FACTOR_BYTES", 0)
     graph = random_graph(2, 20, 40, seed=2, noise=0.1)
     assert lift(graph) is graph.poses
 
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_a_search_never_ends_higher_and_fixed_nodes_hold_still(dimension, seed):
+def test_a_search_never_ends_higher_and_fixed_nodes_keep_their_poses(dimension, seed):
     graph = random_graph(dimension, 40, 50, seed=seed, noise=0.4)
     start = masat.optimize(masat.initialize(graph, "spanning_tree")).graph
     poses = start.poses.copy()
@@ -176,9 +178,9 @@ def test_a_search_never_ends_higher_and_fixed_nodes_hold_still(dimension, seed):
 def test_the_search_knows_the_chi2_of_its_poses(dimension, seed):
     graph = random_graph(dimension, 40, 50, seed=seed, noise=0.4)
     start = masat.optimize(masat.initialize(graph, "spanning_tree")).graph
-    search = minima._Search(start, seed=0)
-    search.at_weak_places()
-    search.at_weak_loops()
+    search = search_of(start)
+    search.at_uncertified_nodes()
+    search.at_cycles()
     true = masat.optimize(graph.with_poses(search.poses), max_iterations=0).chi2
     assert np.isclose(search.chi2, true, rtol=1e-9)
 
@@ -187,10 +189,10 @@ def test_a_unit_of_chi2_is_one_or_what_the_graph_shows():
     for noise in (0.001, 0.4):
         graph = masat.optimize(random_graph(2, 30, 60, seed=1, noise=noise)).graph
         reduced = masat.optimize(graph).reduced_chi2
-        search = minima._Search(graph, seed=0)
+        search = search_of(graph)
         assert np.isclose(search._unit, min(1.0, reduced))
     tree = PoseGraph.from_arrays([(0, 1)], np.zeros((1, 3)), poses=np.zeros((2, 3)))
-    assert minima._Search(tree, seed=0)._unit == 1.0
+    assert search_of(tree)._unit == 1.0
 
 
 def test_a_part_that_cannot_be_lifted_stays(monkeypatch):
@@ -199,9 +201,9 @@ def test_a_part_that_cannot_be_lifted_stays(monkeypatch):
 
     graph = two_rings()
     monkeypatch.setattr("masat.optimality.search.lift", impossible)
-    search = minima._Search(graph, seed=0)
+    search = search_of(graph)
     before = search.poses
-    assert not search.at_weak_places()
+    assert not search.at_uncertified_nodes()
     assert search.poses is before
 
 
@@ -230,9 +232,9 @@ def test_no_place_is_lost_where_a_pivot_is_hardly_one():
         middle = (low + high) / 2
         low, high = (middle, high) if tell(middle)[0] == first else (low, middle)
     for share in high * (1 + np.geomspace(1e-12, 1e-3, 40)):
-        places = tell(share)
-        assert places.min() < 12
-        assert places.max() >= 12 + CHAIN
+        nodes = tell(share)
+        assert nodes.min() < 12
+        assert nodes.max() >= 12 + CHAIN
 
 
 @pytest.mark.parametrize(

@@ -307,7 +307,7 @@ def test_impossible_spatial_noise_is_refused(sigma):
 
 def test_a_perturbed_sphere_is_solved_near_its_truth():
     world = sphere(400)
-    result = masat.optimize(masat.initialize(perturb(world, (0.01, 0.01), seed=1)))
+    result = masat.optimize(masat.initialize(perturb(world, (0.01, 0.01), seed=1), "masat"))
     solved = lie.between(result.poses[0], result.poses)
     apart = solved[:, :3] - lie.between(world.poses[0], world.poses)[:, :3]
     assert np.linalg.norm(apart, axis=1).max() < 0.5
@@ -315,5 +315,5 @@ def test_a_perturbed_sphere_is_solved_near_its_truth():
 
 def test_a_perturbed_world_is_solved_near_its_truth():
     world = manhattan(500, 1200, extent=10, seed=2)
-    result = masat.optimize(masat.initialize(perturb(world, (0.02, 0.02, 0.01))))
+    result = masat.optimize(masat.initialize(perturb(world, (0.02, 0.02, 0.01)), "masat"))
     assert np.abs(result.poses[:, :2] - world.poses[:, :2]).max() < 0.3
