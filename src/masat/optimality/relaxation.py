@@ -46,13 +46,10 @@ class Point:
     unknowns : ndarray, (n, d + 1, p)
         X_i = [Y_i t_i]': an orthonormal frame of d rows of p numbers, and a translation.
     cost : float
-    steps : int
-        Newton steps that led here.
     """
 
     unknowns: Floats
     cost: float
-    steps: int = 0
 
     @property
     def rank(self) -> int:
@@ -104,7 +101,7 @@ class Relaxation:
             return Point(x, self.cost(x))
         held_alone = x.copy()
         held_alone[self._free] = 0
-        solved, taken = _core.minimize_lifted(
+        solved, failed = _core.minimize_lifted(
             self._matrix,
             self._assemble(x),
             self.cost(held_alone),
@@ -113,9 +110,13 @@ class Relaxation:
             damping * self._scale,
             steps,
         )
+        if failed >= 0:
+            raise InitializationError(
+                f"the edges around node {self.graph.ids[self._free[failed]]} do not determine it"
+            )
         out = x.copy()
         out[self._free] = solved
-        return Point(out, self.cost(out), taken)
+        return Point(out, self.cost(out))
 
     def polish(self, poses: Floats) -> Point:
         """Go down from poses, at their own rank."""
@@ -129,8 +130,7 @@ class Relaxation:
     def lifted_bytes(self) -> int:
         """Return the size of a factor at the higher rank."""
         d = self.graph.dimension
-        size = d * (d - 1) // 2 + d * (_LIFTED_RANK - d) + _LIFTED_RANK
-        return 8 * self.graph.elimination.fill(size)
+        return 8 * self.graph.elimination.fill(_core.lifted_block_size(d, _LIFTED_RANK))
 
     def lift(self, x: Floats, rng: np.random.Generator) -> Floats:
         """Return unknowns of a higher rank, the new columns filled with smooth noise."""
@@ -162,7 +162,10 @@ class Relaxation:
         share = max(point.cost, self.nothing) / (len(self._free) * (d + 1))
         own = np.ascontiguousarray(point.unknowns[self._free])
         forcing = self._assemble(point.unknowns)
-        gaps = (_core.lifted_gap(self._matrix, forcing, own, shift * share) for shift in _SHIFTS)
+        gaps = (
+            _core.certificate_gap(self._matrix, forcing, own, shift * share, 0.0)
+            for shift in _SHIFTS
+        )
         return next((gap for gap in gaps if np.isfinite(gap)), np.inf)
 
     def plausible(self, poses: Floats) -> bool:
@@ -178,7 +181,7 @@ class Relaxation:
             return self._free
         x = self.unknowns(poses, self.graph.dimension)
         own = np.ascontiguousarray(x[self._free])
-        return _core.weak_nodes(self._matrix, self._assemble(x), own, share * self._scale)
+        return _core.uncertified_nodes(self._matrix, self._assemble(x), own, share * self._scale)
 
     def poses(self, x: Floats) -> Floats:
         """Return the poses nearest to unknowns of any rank, (n, 3) or (n, 7)."""
