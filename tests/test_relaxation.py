@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
-from random_graphs import random_graph
+from random_graphs import random_graph, random_poses
 
 import masat
-from masat import PoseGraph, _core, lie, linear
-from masat.optimality import relaxation
-from masat.optimality.relaxation import Relaxation
+from masat import PoseGraph, _core, lie
+from masat.information import isotropic_weights
+from masat.optimality.relaxation import Relaxation, lift
 from masat.residuals import chi2_per_edge
-from masat.worlds import manhattan, perturb, sphere
+from masat.worlds import city, manhattan, perturb, sphere
 
 
 def isotropic(graph):
@@ -90,19 +90,19 @@ def test_the_certificate_is_that_of_the_dense_matrix(dimension):
     for k in range(n):
         multiplier = pulled[k, :d] @ x[k, :d].T
         dense[k * b : k * b + d, k * b : k * b + d] -= (multiplier + multiplier.T) / 2
-    free = np.arange(b, n * b)  # node 0 holds still
+    free = np.arange(b, n * b)  # node 0 is fixed
     s = dense[np.ix_(free, free)]
-    forcing = relaxed._assemble(x)
+    linear_term = relaxed._assemble(x)
     onto = np.tile([1.0] * d + [0.0], n - 1)
     for shift in (1e-6, 1e-3, 0.1, 1.0, 10.0):
         positive = np.linalg.eigvalsh(s + shift * np.diag(onto)).min() > 0
-        gap = _core.certificate_gap(relaxed._matrix, forcing, x[1:].copy(), shift, 0.0)
+        gap = _core.certificate_gap(relaxed._matrix, linear_term, x[1:].copy(), shift, 0.0)
         assert np.isfinite(gap) == positive
-        weak = _core.uncertified_nodes(relaxed._matrix, forcing, x[1:].copy(), shift)
-        assert (len(weak) == 0) == positive
-        assert np.all(np.diff(weak) > 0)
-        # With these held, it is positive.
-        rest = np.setdiff1d(np.arange(1, n), weak + 1)
+        uncertified = _core.uncertified_nodes(relaxed._matrix, linear_term, x[1:].copy(), shift)
+        assert (len(uncertified) == 0) == positive
+        assert np.all(np.diff(uncertified) > 0)
+        # With these fixed, it is positive.
+        rest = np.setdiff1d(np.arange(1, n), uncertified + 1)
         left = np.ix_(*[(b * rest[:, None] + np.arange(b)).ravel()] * 2)
         onto_left = np.tile([1.0] * d + [0.0], len(rest))
         assert np.all(np.linalg.eigvalsh(dense[left] + shift * np.diag(onto_left)) > 0)
@@ -110,67 +110,173 @@ def test_the_certificate_is_that_of_the_dense_matrix(dimension):
             g = (dense @ x.reshape(n * b, -1))[free]
             below = np.sum(g * np.linalg.solve(s + shift * np.diag(onto), g))
             assert np.isclose(gap, 4 * d * (n - 1) * shift + below)
+        for margin in (1e-4, 0.1):
+            lower = s + shift * np.diag(onto) - margin * np.diag(np.abs(np.diag(s)))
+            gap = _core.certificate_gap(relaxed._matrix, linear_term, x[1:].copy(), shift, margin)
+            assert np.isfinite(gap) == (np.linalg.eigvalsh(lower).min() > 0)
+            if np.isfinite(gap):
+                g = (dense @ x.reshape(n * b, -1))[free]
+                below = np.sum(g * np.linalg.solve(lower, g))
+                assert np.isclose(gap, 4 * d * (n - 1) * shift + below)
+    with pytest.raises(ValueError, match="margin"):
+        _core.certificate_gap(relaxed._matrix, linear_term, x[1:].copy(), shift, -1.0)
+
+
+def dense(matrix, rows, block):
+    """The matrix itself, by its inverse with a damping that makes it positive definite."""
+    damping = 1e3
+    assert matrix.factorize(np.full(rows, damping)) == -1
+    inverse = matrix.solve(np.eye(rows).reshape(rows // block, block, rows)).reshape(rows, rows)
+    return np.linalg.inv(inverse) - damping * np.eye(rows)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-@pytest.mark.parametrize("seed", range(4))
-def test_no_minimum_lies_below_the_bound(dimension, seed):
-    graph = random_graph(dimension, 12, 30, seed=seed, noise={2: 0.8, 3: 0.3}[dimension])
-    solution = relaxation.solve(graph, masat.initialize(graph, "spanning_tree").poses)
-    assert 0 < solution.bound <= solution.cost
-    relaxed, rng = Relaxation(graph), np.random.default_rng(seed)
-    for _ in range(30):
-        scattered = lie.retract(graph.poses, rng.normal(size=(12, graph.dof)))
-        scattered[0] = lie.identity(dimension)
-        found = relaxed.polish(scattered).cost
-        assert found >= solution.bound * (1 - 1e-9)
-        if solution.certified:
-            assert found >= solution.cost * (1 - relaxation.TIGHT)
+@pytest.mark.parametrize("kind", ["numbers", "matrices"])
+def test_the_form_costs_what_its_formula_says(dimension, kind):
+    graph = random_graph(dimension, 8, 20, seed=4)
+    d, n, m, rng = dimension, 8, len(graph.edges), np.random.default_rng(6)
+    fixed = np.zeros(n, bool)
+    fixed[[1, 5, 6]] = True
+    tau = rng.uniform(1, 3, m)
+    root = rng.normal(size=(m, d, d))
+    matrices = root + root.transpose(0, 2, 1)
+    numbers = rng.uniform(1, 3, m)
+    if kind == "numbers":
+        matrices = numbers[:, None, None] * np.eye(d)
+    i, j = graph.edge_indices.T
+
+    def unknowns():
+        poses = random_poses(d, n, rng)
+        poses[fixed] = graph.poses[fixed]
+        return Relaxation(graph).unknowns(poses, d)
+
+    def cost(x):
+        turn = _core.rotation_matrices(graph.measurements)
+        error = turn.transpose(0, 2, 1) @ x[i, :d] @ x[j, :d].transpose(0, 2, 1)
+        ahead = (graph.measurements[:, None, :d] @ x[i, :d])[:, 0]
+        rotations = 2 * np.einsum("kii->", matrices) - 2 * np.sum(matrices * error)
+        return rotations + tau @ np.square(x[j, d] - x[i, d] - ahead).sum(axis=1)
+
+    order = _core.Elimination(graph.topology, fixed, np.empty(0, np.int32))
+    matrix = _core.GraphMatrix(order, d + 1)
+    x, y = unknowns(), unknowns()
+    weights = numbers if kind == "numbers" else matrices
+    f = matrix.assemble_poses(graph.topology, graph.measurements, weights, tau, x).reshape(-1, d)
+    h = dense(matrix, len(f), d + 1)
+
+    def form(x):
+        own = x[~fixed].reshape(-1, d)
+        return np.sum(own * (h @ own - 2 * f))
+
+    assert np.isclose(form(x) - form(y), cost(x) - cost(y), rtol=1e-9, atol=1e-6)
+    if kind == "numbers":
+        turned = _core.rotation_matrices(graph.measurements).transpose(0, 2, 1) @ x[i, :d]
+        gap = np.square(x[j, :d] - turned).sum(axis=(1, 2))
+        ahead = (graph.measurements[:, None, :d] @ x[i, :d])[:, 0]
+        steps = np.square(x[j, d] - x[i, d] - ahead).sum(axis=1)
+        assert np.isclose(cost(x), numbers @ gap + tau @ steps)
+    else:
+        with pytest.raises(ValueError, match=r"\(m,\) or \(m, d, d\)"):
+            matrix.assemble_poses(
+                graph.topology, graph.measurements, matrices[:, :1].copy(), tau, x
+            )
 
 
-def test_a_ring_twisted_once_is_unravelled():
+def test_a_matrix_weight_is_any_information_of_a_quaternion():
+    rng = np.random.default_rng(0)
+    root, q = rng.normal(size=(3, 3)), random_poses(3, 1, rng)
+    w = root @ root.T
+    a = np.trace(w) / 8 * np.eye(3) - w / 4
+    rotation = _core.rotation_matrices(q)[0]
+    vector = q[0, 3:6]
+    assert np.isclose(2 * np.trace(a) - 2 * np.sum(a * rotation), vector @ w @ vector)
+
+
+@pytest.mark.parametrize("make", [manhattan, city, sphere])
+def test_minimization_of_an_exact_world_stops_at_rounding(make):
+    world = make(1000, seed=0)
+    d = world.dimension
+    far, z = world.poses.copy(), world.measurements.copy()
+    far[:, :d] *= 1e6
+    z[:, :d] *= 1e6
+    graph = PoseGraph.from_arrays(world.edges, z, ids=world.ids, poses=far)
+    relaxed = Relaxation(graph)
+    x = relaxed.unknowns(far, d)
+    one, many = (relaxed.minimize(x, decrease=1e-7, damping=1e-2, steps=k) for k in (2, 60))
+    assert np.array_equal(one.unknowns, many.unknowns)
+    assert many.cost < 1e-12
+
+
+def lifted_problem(dimension, rank):
+    graph = random_graph(dimension, 6, 10, seed=0, noise=0.2)
+    relaxed = Relaxation(graph)
+    x = relaxed.unknowns(graph.poses, dimension)
+    if rank > dimension:
+        x = relaxed.lift(x, np.random.default_rng(0))
+    return relaxed._matrix, relaxed._assemble(x), x[1:].copy()
+
+
+@pytest.mark.parametrize(("dimension", "rank"), [(2, 2), (2, 4), (3, 3), (3, 4)])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_not_finite_is_named_and_changes_nothing(dimension, rank, value):
+    matrix, linear_term, x = lifted_problem(dimension, rank)
+    for array, node in ((x, 3), (linear_term, 1)):
+        array = array.copy()
+        array[node, 0, 0] = value
+        first = array if array.shape == x.shape and node == 3 else x
+        second = array if node == 1 else linear_term
+        out, failed = _core.minimize_lifted(matrix, second, 0.0, first, 1e-7, 1.0, 20)
+        assert failed == node
+        assert np.array_equal(out, first, equal_nan=True)
+        gap = _core.certificate_gap(matrix, second, first, 1.0, 0.0)
+        assert gap == np.inf
+    with pytest.raises(ValueError, match="finite"):
+        _core.minimize_lifted(matrix, linear_term, 0.0, x, 1e-7, value, 20)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_translations_that_the_edges_do_not_determine_are_named(dimension):
+    # Nodes 0 and 1 are joined by an edge whose translation has no weight.
+    z = np.tile(lie.identity(dimension), (2, 1))
+    graph = PoseGraph.from_arrays([(0, 1), (1, 2)], z, poses=np.vstack([z, z[:1]]), fixed=[0])
+    matrix = _core.GraphMatrix(graph.elimination, dimension + 1)
+    x = Relaxation(graph).unknowns(graph.poses, dimension)
+    linear_term = matrix.assemble_poses(graph.topology, z, np.ones(2), np.array([0.0, 1]), x)
+    moved = x[1:] + 0.1
+    out, failed = _core.minimize_lifted(matrix, linear_term, 1.0, moved, 1e-7, 1.0, 20)
+    assert failed in (0, 1)
+    assert np.array_equal(out, moved)
+
+
+@pytest.mark.parametrize(("dimension", "rank"), [(2, 2), (2, 4), (3, 3), (3, 4)])
+def test_the_block_of_a_lifted_pose_has_its_degrees_of_freedom(dimension, rank):
+    # Numbers of a frame less the constraints that it is orthonormal, and a translation.
+    frame = dimension * rank - dimension * (dimension + 1) // 2
+    assert _core.lifted_block_size(dimension, rank) == frame + rank
+    with pytest.raises(ValueError, match="ranks are"):
+        _core.lifted_block_size(dimension, 5)
+
+
+def test_a_ring_twisted_once_is_untwisted():
     graph = ring(12)
     relaxed = Relaxation(graph)
     local = relaxed.polish(twisted(graph))
     # Twelve edges, each off by 30 degrees: 2 (1 - cos) of each.
     assert np.isclose(local.cost, 12 * 2 * (1 - np.cos(np.pi / 6)))
-    assert relaxed.gap(local) == np.inf
+    assert relaxed.gap(local.unknowns) == np.inf
     assert not relaxed.plausible(twisted(graph))
-    solution = relaxation.solve(graph, twisted(graph))
-    assert solution.rank > 2
-    assert solution.certified
-    assert np.allclose(solution.poses, 0, atol=1e-6)
-
-
-def test_without_lifting_the_local_minimum_stands():
-    solution = relaxation.solve(ring(12), twisted(ring(12)), lift=False)
-    assert not solution.certified
-    assert solution.bound == 0
-    assert np.isclose(solution.cost, 12 * 2 * (1 - np.cos(np.pi / 6)))
-
-
-def test_one_edge_of_great_weight_does_not_hide_a_local_minimum():
-    edges = [(k, (k + 1) % 12) for k in range(12)] + [(0, 12)]
-    information = np.array([1e-3 * np.eye(3)] * 12 + [1e14 * np.eye(3)])
-    graph = PoseGraph.from_arrays(
-        edges, np.zeros((13, 3)), information, poses=np.zeros((13, 3)), fixed=[0]
-    )
-    solution = relaxation.solve(graph, np.vstack([twisted(ring(12)), np.zeros(3)]))
-    assert solution.cost < 1e-6 or not solution.certified
-
-
-def test_what_would_take_too_much_memory_is_not_lifted(monkeypatch):
-    monkeypatch.setattr(relaxation, "_MOST_MEMORY", 0)
-    assert not relaxation.solve(ring(12), twisted(ring(12))).certified
+    top = relaxed.minimize_lifted(local.unknowns, decrease=1e-6, seed=0)
+    assert top.unknowns.shape[2] > 2
+    assert top.cost < 1e-6
+    assert np.allclose(relaxed.poses(top.unknowns), 0, atol=1e-3)
 
 
 @pytest.mark.parametrize("make", [manhattan, sphere])
 def test_the_same_seed_gives_the_same_poses(make):
     graph = perturb(make(300, seed=0), [0.3] * (3 if make is manhattan else 6), seed=0)
-    start = masat.initialize(graph, "spanning_tree").poses
-    first, second = (relaxation.solve(graph, start, seed=4) for _ in range(2))
-    assert np.array_equal(first.poses, second.poses)
-    assert first.bound == second.bound
+    guess = masat.initialize(graph, "spanning_tree")
+    first, second = (lift(guess, seed=4) for _ in range(2))
+    assert np.array_equal(first, second)
 
 
 @pytest.mark.parametrize(("make", "sigma"), [(manhattan, [0.1] * 3), (sphere, [0.05] * 6)])

@@ -1,13 +1,17 @@
 // The lifted relaxation.
 #include <nanobind/nanobind.h>
 
+#include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <utility>
 #include <vector>
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
+#include "relaxation/certificate.hpp"
 #include "relaxation/lifted.hpp"
+#include "relaxation/minimizer.hpp"
 #include "sparse/graph_matrix.hpp"
 
 namespace masat {
@@ -15,65 +19,81 @@ namespace {
 
 using namespace nb::literals;
 
-// Calls f with the lifted problem of a matrix, for the rank that x has.
+// Calls f<D, P>() for a dimension and a rank.
 template <class F>
-void with_lifted(const GraphMatrix& matrix, const Stack& forcing, double constant, const Stack& x,
-                 F f) {
+auto with_rank(std::size_t dimension, std::size_t rank, F f) {
+  if (dimension == 2 && rank == 2) return f.template operator()<2, 2>();
+  if (dimension == 2 && rank == 4) return f.template operator()<2, 4>();
+  if (dimension == 3 && rank == 3) return f.template operator()<3, 3>();
+  require(dimension == 3 && rank == 4, "ranks are 2 and 4 in 2D, 3 and 4 in 3D");
+  return f.template operator()<3, 4>();
+}
+
+// Calls f with the lifted problem of a matrix, for the rank that x has, and a copy of x; without
+// the interpreter lock.
+template <class F>
+void with_lifted(const GraphMatrix& matrix, const Stack& linear_term, double constant,
+                 const Stack& x, F f) {
   check_rows(matrix, x);
-  check_rows(matrix, forcing);
-  require(forcing.shape(2) == x.shape(2), "x and the forcing must have as many columns");
-  const auto rank = x.shape(2);
-  const auto call = [&]<int D, int P>() { f(Lifted<D, P>(matrix, forcing.data(), constant)); };
-  if (matrix.block_size() == 3 && rank == 2) {
-    call.template operator()<2, 2>();
-  } else if (matrix.block_size() == 3 && rank == 4) {
-    call.template operator()<2, 4>();
-  } else if (matrix.block_size() == 4 && rank == 3) {
-    call.template operator()<3, 3>();
-  } else {
-    require(matrix.block_size() == 4 && rank == 4, "ranks are 2 and 4 in 2D, 3 and 4 in 3D");
-    call.template operator()<3, 4>();
-  }
-}
-
-nb::tuple minimize_lifted(const GraphMatrix& matrix, const Stack& forcing, double constant,
-                          const Stack& start, double decrease, double damping, int steps) {
-  std::vector<double> x(start.data(), start.data() + start.size());
-  int taken = 0;
-  with_lifted(matrix, forcing, constant, start, [&](auto problem) {
+  check_rows(matrix, linear_term);
+  require(linear_term.shape(2) == x.shape(2), "x and the linear term must have as many columns");
+  with_rank(matrix.block_size() - 1, x.shape(2), [&]<int D, int P>() {
     const nb::gil_scoped_release release;
-    taken = problem.minimize(x, {decrease, damping, steps});
+    f(Lifted<D, P>(matrix, linear_term.data(), constant),
+      std::vector<double>(x.data(), x.data() + x.size()));
   });
-  return nb::make_tuple(as_array(std::move(x), {start.shape(0), start.shape(1), start.shape(2)}),
-                        taken);
 }
 
-double lifted_gap(const GraphMatrix& matrix, const Stack& forcing, const Stack& x, double shift) {
+int lifted_block_size(int dimension, int rank) {
+  return with_rank(dimension, rank, []<int D, int P>() { return Lifted<D, P>::kDof; });
+}
+
+// The unknowns, and -1 or the free node's index at which the minimization failed.
+nb::tuple minimize_lifted(const GraphMatrix& matrix, const Stack& linear_term, double constant,
+                          const Stack& initial, double decrease, double damping, int steps) {
+  require(std::isfinite(decrease) && std::isfinite(damping) && damping > 0,
+          "decrease must be finite, damping finite and positive");
+  std::vector<double> out;
+  std::int32_t failed = -1;
+  with_lifted(matrix, linear_term, constant, initial,
+              [&]<int D, int P>(const Lifted<D, P>& problem, std::vector<double> x) {
+                failed = LiftedMinimizer<D, P>(problem).minimize(x, {decrease, damping, steps});
+                out = std::move(x);
+              });
+  const auto shape = {initial.shape(0), initial.shape(1), initial.shape(2)};
+  return nb::make_tuple(as_array(std::move(out), shape), failed);
+}
+
+double certificate_gap(const GraphMatrix& matrix, const Stack& linear_term, const Stack& x,
+                       double shift, double margin) {
+  require(margin >= 0, "the margin must not be negative");
   double gap = 0;
-  with_lifted(matrix, forcing, 0.0, x, [&](auto problem) {
-    const nb::gil_scoped_release release;
-    gap = problem.gap({x.data(), x.data() + x.size()}, shift);
-  });
+  with_lifted(matrix, linear_term, 0.0, x,
+              [&]<int D, int P>(const Lifted<D, P>& problem, const std::vector<double>& at) {
+                gap = Certificate<D, P>(problem, at).gap(shift, margin);
+              });
   return gap;
 }
 
-Array<std::int32_t> weak_nodes(const GraphMatrix& matrix, const Stack& forcing, const Stack& x,
-                               double shift) {
+Array<std::int32_t> uncertified_nodes(const GraphMatrix& matrix, const Stack& linear_term,
+                                      const Stack& x, double shift) {
   std::vector<std::int32_t> found;
-  with_lifted(matrix, forcing, 0.0, x, [&](auto problem) {
-    const nb::gil_scoped_release release;
-    found = problem.weak({x.data(), x.data() + x.size()}, shift);
-  });
+  with_lifted(matrix, linear_term, 0.0, x,
+              [&]<int D, int P>(const Lifted<D, P>& problem, const std::vector<double>& at) {
+                found = Certificate<D, P>(problem, at).uncertified(shift);
+              });
   return as_array(std::move(found));
 }
 
 }  // namespace
 
 void bind_relaxation(nb::module_& m) {
-  m.def("minimize_lifted", &minimize_lifted, "matrix"_a, "forcing"_a, "constant"_a, "start"_a,
+  m.def("lifted_block_size", &lifted_block_size, "dimension"_a, "rank"_a);
+  m.def("minimize_lifted", &minimize_lifted, "matrix"_a, "linear_term"_a, "constant"_a, "initial"_a,
         "decrease"_a, "damping"_a, "steps"_a);
-  m.def("lifted_gap", &lifted_gap, "matrix"_a, "forcing"_a, "x"_a, "shift"_a);
-  m.def("weak_nodes", &weak_nodes, "matrix"_a, "forcing"_a, "x"_a, "shift"_a);
+  m.def("certificate_gap", &certificate_gap, "matrix"_a, "linear_term"_a, "x"_a, "shift"_a,
+        "margin"_a);
+  m.def("uncertified_nodes", &uncertified_nodes, "matrix"_a, "linear_term"_a, "x"_a, "shift"_a);
 }
 
 }  // namespace masat

@@ -30,6 +30,8 @@ namespace {
 
 using namespace nb::literals;
 
+using AnyArray = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+
 std::shared_ptr<Elimination> make_elimination(const Topology& graph, const Vector<bool>& held,
                                               const Vector<std::int32_t>& order) {
   require(held.shape(0) == static_cast<std::size_t>(graph.nodes()), "one flag a node");
@@ -102,18 +104,23 @@ Array<double> assembled(GraphMatrix& matrix, const Topology& graph, const Stack&
 }
 
 Array<double> assembled_poses(GraphMatrix& matrix, const Topology& graph,
-                              const Table<double>& measurements, const Vector<double>& rotation,
+                              const Table<double>& measurements, const AnyArray& rotation,
                               const Vector<double>& translation, const Stack& values) {
   const std::size_t m = graph.edges().size(), d = matrix.block_size(), columns = values.shape(2);
-  require(measurements.shape(0) == m && rotation.shape(0) == m && translation.shape(0) == m,
+  require(rotation.ndim() >= 1 && measurements.shape(0) == m && rotation.shape(0) == m &&
+              translation.shape(0) == m,
           "one row an edge");
+  const bool matrices = rotation.ndim() == 3;
+  require(
+      matrices ? rotation.shape(1) + 1 == d && rotation.shape(2) + 1 == d : rotation.ndim() == 1,
+      "the rotations' weights must be (m,) or (m, d, d)");
   check_values(matrix, graph, values);
   std::vector<double> forcing(matrix.rows() * columns);
   {
     nb::gil_scoped_release release;
     with_group(measurements.shape(1), [&]<class Group>(Group*) {
       require(d == Group::kDimension + 1, "blocks must have d + 1 rows");
-      assemble_pose_form<Group>(matrix, graph, measurements.data(), rotation.data(),
+      assemble_pose_form<Group>(matrix, graph, measurements.data(), {rotation.data(), matrices},
                                 translation.data(), values.data(), static_cast<int>(columns),
                                 forcing.data());
     });
@@ -188,8 +195,8 @@ void bind_systems(nb::module_& m) {
           },
           "rows"_a, "columns"_a);
 
-  m.def("solve_translations", &settled, "topology"_a, "matrix"_a, "measurements"_a,
-        "information"_a, "poses"_a);
+  m.def("solve_translations", &settled, "topology"_a, "matrix"_a, "measurements"_a, "information"_a,
+        "poses"_a);
 }
 
 }  // namespace masat

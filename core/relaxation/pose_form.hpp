@@ -5,29 +5,48 @@
 #include <cstdint>
 
 #include "graph/topology.hpp"
+#include "lie/group.hpp"
 #include "sparse/graph_matrix.hpp"
 
 namespace masat {
 
-// Sets the matrix to the form rotation |R_j - R_i R|^2 + translation |t_j - t_i - R_i t|^2 of the
-// unknowns X_i = [R_i t_i]', and adds what held nodes make of the right-hand side.
-template <class Group>
+// What an edge's rotation costs: a number an edge, or a symmetric d x d matrix A, row by row.
+struct RotationWeights {
+  const double* values;
+  bool matrices;
+
+  template <int D>
+  Eigen::Matrix<double, D, D, Eigen::RowMajor> at(std::int64_t edge) const {
+    using Square = Eigen::Matrix<double, D, D, Eigen::RowMajor>;
+    if (matrices) return Eigen::Map<const Square>(values + edge * D * D);
+    return Square::Identity() * values[edge];
+  }
+};
+
+// Sets the matrix to the form
+//     2 tr(A) - 2 <A, R' R_i' R_j> + translation |t_j - t_i - R_i t|^2
+// of the unknowns X_i = [R_i t_i]', and adds the right-hand side from the fixed nodes to
+// `linear_term`. For A = kappa I the first two terms are kappa |R_j - R_i R|^2. The form has
+// (tr(A) / d) (|R_i|^2 + |R_j|^2) for 2 tr(A), which is the same for orthonormal frames.
+template <LieGroup Group>
 void assemble_pose_form(GraphMatrix& matrix, const Topology& graph, const double* measurements,
-                        const double* rotation, const double* translation, const double* values,
-                        int columns, double* forcing) {
-  constexpr int kRows = Group::kDimension + 1;
+                        RotationWeights rotation, const double* translation, const double* values,
+                        int columns, double* linear_term) {
+  constexpr int D = Group::kDimension, kRows = D + 1;
   using Block = Eigen::Matrix<double, kRows, kRows, Eigen::RowMajor>;
   const auto m = static_cast<std::int64_t>(graph.edges().size());
   const typename Group::Table z(measurements, m);
   matrix.set_zero();
   for (std::int64_t k = 0; k < m; ++k) {
-    Block turn = Block::Identity();  // X_j is to be turn' X_i
-    turn.template topLeftCorner<kRows - 1, kRows - 1>() = z[k].rotation();
-    turn.template topRightCorner<kRows - 1, 1>() = z[k].translation();
-    Block weight = Block::Identity() * rotation[k];
-    weight(kRows - 1, kRows - 1) = translation[k];
-    const Block joint = -turn * weight, first = -joint * turn.transpose();
-    matrix.add_edge(graph, k, first.data(), joint.data(), weight.data(), values, columns, forcing);
+    Block turn = Block::Identity();  // with zero cost, X_j = turn' X_i
+    turn.template topLeftCorner<D, D>() = z[k].rotation();
+    turn.template topRightCorner<D, 1>() = z[k].translation();
+    Block weight = Block::Identity() * translation[k], own = weight;
+    weight.template topLeftCorner<D, D>() = rotation.at<D>(k);
+    own.template topLeftCorner<D, D>().diagonal().setConstant(
+        weight.template topLeftCorner<D, D>().trace() / D);
+    const Block joint = -turn * weight, first = turn * own * turn.transpose();
+    matrix.add_edge(graph, k, first.data(), joint.data(), own.data(), values, columns, linear_term);
   }
 }
 
