@@ -102,7 +102,7 @@ def test_each_uncertified_part_is_lifted_by_itself():
 
 def test_a_good_map_has_no_uncertified_nodes():
     best = masat.optimize(random_graph(2, 30, 60, seed=1, noise=0.02)).graph
-    search = minima._Search(best, seed=0)
+    search = search_of(best)
     converged = search.poses
     assert not search.at_uncertified_nodes()
     assert not search.at_cycles()
