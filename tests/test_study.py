@@ -1,6 +1,7 @@
 import math
 import threading
 import time
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -9,6 +10,8 @@ from studies import SMALL, WORLD, keys, run_all, trial, wanted
 from masat.study import Case, Design, Store, StudyError, run_case, run_study
 from masat.study import runner as runner_module
 from masat.study.cluster import on_cluster
+from masat.study.design import INITS
+from masat.study.trial import initial_guess, instance
 
 # Success
 
@@ -180,3 +183,30 @@ def test_threads_share_the_machine():
     stop.set()
     thread.join()
     assert len(ticks) > 10
+
+
+def test_a_study_neither_warns_nor_touches_the_filters_of_warnings(tmp_path, monkeypatch):
+    # Filters belong to the process: pool threads that change them change each other's.
+    unit = "1 0 0 1 0 1"
+    file = tmp_path / "graph.g2o"
+    file.write_text(
+        f"UNKNOWN 1\nEDGE_SE2 0 1 1 0 0 {unit}\nEDGE_SE2 2 3 1 0 0 {unit}\n"
+        f"EDGE_SE2 0 3 1 0 0 {unit}\nEDGE_SE2 1 3 0 1 0 {unit}\n"
+    )
+    monkeypatch.setattr("masat.datasets.fetch", lambda name: file)
+
+    def forbidden(*arguments, **options):
+        raise AssertionError("a study must not warn, or change who warns")
+
+    design = Design((), (), 1, INITS, graphs=("MIT",))
+    case = Case("MIT", (), 0)
+    # Pytest itself uses the filters after the test.
+    with monkeypatch.context() as patched:
+        for name in ("warn", "catch_warnings", "simplefilter", "filterwarnings"):
+            patched.setattr(warnings, name, forbidden)
+        graph = instance(case)
+        guess = initial_guess(graph, "odometry")
+        trials = run_case(case, design.inits_of(case), 5)
+    assert graph.notes
+    assert set(guess.notes) > set(graph.notes)
+    assert [t.error for t in trials] == [""] * (len(INITS) - 1)

@@ -143,3 +143,15 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StudyError, match="file: cannot be made"):
         Store(tmp_path / "file", SMALL)
+
+
+def test_a_store_that_another_process_writes_to_says_so(tmp_path, monkeypatch):
+    with Store(tmp_path, SMALL):
+        pass
+    other = sqlite3.connect(tmp_path / "study.sqlite", isolation_level=None)
+    other.execute("BEGIN EXCLUSIVE")
+    connect = sqlite3.connect
+    monkeypatch.setattr(sqlite3, "connect", lambda path, **more: connect(path, timeout=0, **more))
+    with pytest.raises(StudyError, match="another process is writing to it"):
+        Store(tmp_path)
+    other.close()

@@ -141,6 +141,10 @@ class Store:
         except (sqlite3.Error, ValueError, TypeError, OverflowError, RecursionError) as error:
             if isinstance(error, StudyError):
                 raise
+            if "locked" in str(error):
+                raise StudyError(
+                    f"{self.path}: another process is writing to it; wait until that has ended"
+                ) from None
             raise StudyError(
                 f"{self.path}: not a readable store of a study ({error}); choose another folder, "
                 "or delete this one and run the study again"

@@ -24,7 +24,7 @@ def rate_figure(cells: list[Cell], inits: tuple[str, ...], path: Path) -> Figure
     labeled: dict[str, Any] = {}
     for ax, mine in panels:
         for i, init in enumerate(inits):
-            rates = [(k, *cell.rate(init)) for k, cell in enumerate(mine)]
+            rates = [(k, *c.rate(init)) for k, c in enumerate(mine) if not c.failed(init)]
             drawn = np.array([(k, s / n, *wilson(s, n)) for k, s, n in rates if n])
             if len(drawn) == 0:
                 continue
