@@ -1,4 +1,5 @@
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -6,7 +7,11 @@ from pathlib import Path
 import pytest
 from studies import GOOD
 
-from masat.study import Design, Store, load_design
+from masat.datasets import GRID_WORLDS
+from masat.study import Design, Store, load_design, parse_run
+from masat.study.design import INITS
+from masat.study.design_file import shipped
+from masat.worlds import WORLDS
 
 
 def call(*arguments):
@@ -79,3 +84,61 @@ def test_the_help_of_run_names_every_key_of_a_design():
     for key in Design.__dataclass_fields__:
         assert f"\n  {key} " in text
     assert "docs/studies.md" in text
+
+
+# The manual, docs/studies.md
+
+MANUAL = (Path(__file__).parents[1] / "docs" / "studies.md").read_text()
+
+
+def blocks(language):
+    return re.findall(rf"```{language}\n(.*?)```", MANUAL, re.DOTALL)
+
+
+def test_the_example_of_the_manual_runs(tmp_path, monkeypatch, capsys):
+    (toml,), (commands,), (python,) = blocks("toml"), blocks("sh"), blocks("python")
+    monkeypatch.chdir(tmp_path)
+    path = Path("my_study.toml")
+    path.write_text(toml)
+    assert load_design(str(path)).runs() == 20 * 3 * 3 + 2 * 2
+    # The same with fewer instances of smaller worlds, and without data.
+    for old, new in (
+        ("manhattan:1000:1550", "manhattan:60:90"),
+        ("sphere:500:1000", "sphere:40:70"),
+        ("instances = 20", "instances = 2"),
+        ('graphs = ["MIT", "sphere2500"]\n', ""),
+    ):
+        assert old in toml
+        toml = toml.replace(old, new)
+        python = python.replace(old, new)
+    path.write_text(toml)
+    for line in commands.splitlines():
+        name, study, *arguments = line.split()
+        assert (name, study) == ("masat", "study")
+        told = call(*arguments)
+        assert told.returncode == 0, told.stderr
+    text = Path("report/report.md").read_text()
+    assert text.startswith("# MASAT and chordal, in 2D and 3D\n")
+    assert "18 of 18 runs" in text
+    assert "failed" not in text.split("## ", 2)[2]
+    exec(python, {})
+    assert capsys.readouterr().out[0].isdigit()
+
+
+def test_the_manual_names_every_key_initial_guess_world_and_table(tmp_path):
+    for name in (*Design.__dataclass_fields__, *INITS, *GRID_WORLDS, *WORLDS, *shipped()):
+        assert f"`{name}`" in MANUAL
+    for key in Design.__dataclass_fields__:
+        assert f"\n| `{key}` |" in MANUAL
+
+
+def test_the_runs_that_the_manual_repeats_are_those_of_its_design(tmp_path):
+    path = tmp_path / "my_study.toml"
+    path.write_text(blocks("toml")[0])
+    design = load_design(str(path))
+    names = re.findall(r"--only (\S+)$", MANUAL, re.MULTILINE)
+    assert len(names) == 3
+    for name in names:
+        case, init = parse_run(name)
+        assert case in design.cases()
+        assert init in design.inits_of(case)
