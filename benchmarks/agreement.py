@@ -11,7 +11,7 @@ import sys
 import masat
 from benchmarks.with_g2o import built
 from masat.study import Case, Trial, run_case
-from masat.study.trial import THRESHOLD, guess_of, instance
+from masat.study.trial import THRESHOLD, initial_guess, instance
 
 _LIMIT = 50
 
@@ -37,7 +37,8 @@ def main(world: str, sigmas: str, instances: int) -> None:
     for k in range(instances):
         case = Case(world, tuple(float(s) for s in sigmas.split(",")), k)
         (ours,) = run_case(case, ("masat",), _LIMIT)
-        theirs = Trial(case, "masat", chi2_of_g2o(guess_of(instance(case), "masat")), 1, 0.0, 0.0)
+        chi2 = chi2_of_g2o(initial_guess(instance(case), "masat"))
+        theirs = Trial(case, "masat", chi2, 1, 0.0, 0.0)
         found.append((ours.success(), theirs.success()))
     print(
         f"{world} ({sigmas}), {instances} instances: ours converges on "

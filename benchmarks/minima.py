@@ -14,7 +14,7 @@ import numpy as np
 import masat
 from masat.optimality.search import lower_minimum
 from masat.study.names import Case
-from masat.study.trial import guess_of, instance, solve
+from masat.study.trial import initial_guess, instance, solve
 
 CELLS = (
     "Manhattan3500/.35,.35,.35",
@@ -34,11 +34,11 @@ def measure(cell: str) -> str:
     ratios = []
     for k in range(INSTANCES):
         graph = instance(Case(world, sigma, k))
-        control = solve(guess_of(graph, "ground_truth"), 50)
+        control = solve(initial_guess(graph, "ground_truth"), 50)
         if not control.converged:
             continue
-        plain = solve(guess_of(graph, "masat"), 50)
-        local = masat.optimize(guess_of(graph, "chordal"), "dogleg")
+        plain = solve(initial_guess(graph, "masat"), 50)
+        local = masat.optimize(initial_guess(graph, "chordal"), "dogleg")
         start = perf_counter()
         found = lower_minimum(local.graph)
         if plain.converged:

@@ -16,7 +16,7 @@ from masat.optimality.subgraphs import connected_parts, neighborhood, subgraph
 from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
 from masat.study.names import Case
-from masat.study.trial import guess_of, instance
+from masat.study.trial import initial_guess, instance
 
 CHAIN = 30
 
@@ -254,6 +254,6 @@ def test_search_of_the_study_are_left(name, data_dir, monkeypatch):
     world, sigma, number = name.split("/")
     graph = instance(Case(world, tuple(map(float, sigma.split(","))), int(number)))
     control = masat.optimize(graph)
-    local = masat.optimize(guess_of(graph, "chordal"))
+    local = masat.optimize(initial_guess(graph, "chordal"))
     assert local.chi2 > control.chi2 * (1 + 5e-6)
     assert lower_minimum(local.graph).chi2 <= control.chi2 * (1 + 1e-6)

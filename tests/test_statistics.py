@@ -27,6 +27,3 @@ def test_fishers_test_of_the_tea_tasting_lady():
     assert fisher(3, 4, 1, 4) == pytest.approx(34 / 70)
     assert fisher(4, 4, 0, 4) == pytest.approx(2 / 70)
     assert fisher(49, 50, 50, 50) == 1
-
-
-# The report and the command line

@@ -15,30 +15,39 @@ import click
 from masat.cli import EXIT_NOT_CONVERGED, show
 from masat.study import Store, StudyError, Trial, load_design, parse_run, run_case, run_study
 from masat.study.cluster import on_cluster
-from masat.study.design import STARTS, Design
+from masat.study.design import INITS, Design
+from masat.study.design_file import shipped, shipped_text
+from masat.study.worlds import GROUND_TRUTH
+
+_MAX_WORKERS = 1024
 
 
 @click.group()
 def study() -> None:
-    """Run the paper's evaluation, or a design of your own, and report it.
+    """Run the MASAT paper's evaluation, or a study of your own, and report it.
 
-    DESIGN is 'paper', 'quick' or a TOML file with worlds, sigmas, instances and starts.
+    A study solves many noisy instances of simulated worlds, and real graphs, from several initial
+    guesses, and compares these. docs/studies.md in the repository is its manual.
     """
 
 
 @study.command(epilog="Example:  masat study run quick --store results")
 @click.argument("design")
-@click.option("--store", type=click.Path(path_type=Path), help="Folder of the results.")
+@click.option(
+    "--store", type=click.Path(path_type=Path), help="Folder of the results; made if needed."
+)
 @click.option(
     "--workers",
-    type=click.IntRange(min=1),
-    default=os.cpu_count() or 1,
+    type=click.IntRange(min=1, max=_MAX_WORKERS),
+    default=min(os.cpu_count() or 1, _MAX_WORKERS),
     show_default="all cores",
-    help="Threads of this machine.",
+    help="Number of threads on this machine.",
 )
 @click.option("--scheduler", help="Dask scheduler to run on instead, such as tcp://host:8786.")
-@click.option("--only", metavar="RUN", help="Run WORLD/SIGMAS/INSTANCE/START alone, and tell.")
-@click.option("--retry", is_flag=True, help="Run failed runs again.")
+@click.option(
+    "--only", metavar="RUN", help="Run WORLD/SIGMAS/INSTANCE/INIT alone and print its result."
+)
+@click.option("--retry", is_flag=True, help="Run the failed runs again.")
 @click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
 def run(
     design: str,
@@ -49,10 +58,21 @@ def run(
     retry: bool,
     quiet: bool,
 ) -> None:
-    """Run DESIGN; a study that was stopped goes on where it was.
+    """Run DESIGN: the name of a design that comes with masat, or a TOML file with these keys.
 
-    With --only, one run is repeated by its name, such as City10k/.35,.35,.35/17/masat.
-    """
+    \b
+    worlds          simulated worlds, such as "manhattan:1000:1550" (NAME:NODES:EDGES)
+    sigmas          noise levels: [x, y, theta] in 2D, [translation, rotation] or six in 3D
+    instances       number of noisy instances of each world at each level
+    inits           initial guesses, and "ground_truth"
+    max_iterations  limit of the Gauss-Newton iterations (default: 50)
+    graphs          public graphs, solved once from each initial guess
+    title           title of the report (default: the name of the file)
+
+    `masat study design NAME` prints a design to start from; docs/studies.md in the repository
+    describes the keys. A study that was stopped continues when the same command is run again. With
+    --only, one run is repeated by its name, such as City10k/.35,.35,.35/17/masat.
+    """  # noqa: D301
     plan = load_design(design)
     if only is not None:
         _run_one(plan, only)
@@ -65,12 +85,13 @@ def run(
             results.forget_failed()
         executor, run_one = _engine(workers, scheduler)
         stack.enter_context(executor)
-        total = sum(len(plan.starts_of(case)) for case in plan.cases())
+        total = plan.runs()
         bar = stack.enter_context(_Bar(total, quiet=quiet))
         try:
             run_study(results, executor, progress=bar.advance, run=run_one)
         except BaseException:
-            # Waiting cases are not worth waiting for; those in work are lost, and run again.
+            # Cases that have not begun are dropped; those that are running are lost. Both run
+            # again the next time.
             executor.shutdown(wait=False, cancel_futures=True)
             raise
     if not quiet:
@@ -82,16 +103,23 @@ def run(
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def status(folder: Path, as_json: bool) -> None:
-    """Say how far the study in FOLDER is."""
+    """Print how many runs of the study in FOLDER are done."""
     _tell_status(folder, as_json=as_json)
 
 
 @study.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "out", required=True, type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Folder of the report; made if needed.",
+)
 @click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
 def report(folder: Path, out: Path, quiet: bool) -> None:
-    """Write tables, figures and tests of the study in FOLDER to a folder."""
+    """Write the report of the study in FOLDER, finished or not: tables, tests and figures."""
     from masat.study.report import build_report
 
     with Store(folder) as store:
@@ -100,11 +128,23 @@ def report(folder: Path, out: Path, quiet: bool) -> None:
         click.echo(f"written: {written[0]}, {written[1].name}, and {len(written) - 2} tables")
 
 
+@study.command()
+@click.argument("name", required=False)
+def design(name: str | None) -> None:
+    """Print the design NAME that comes with masat, to start one of your own from.
+
+    Without NAME, print the names.
+    """
+    click.echo("\n".join(shipped()) if name is None else shipped_text(name), nl=name is None)
+
+
 def _run_one(plan: Design, name: str) -> None:
-    case, start = parse_run(name)
-    if start not in STARTS:
-        raise StudyError(f"unknown start {start!r}; known: {', '.join(STARTS)}")
-    (trial,) = run_case(case, (start,), plan.max_iterations)
+    case, init = parse_run(name)
+    if init not in INITS:
+        raise StudyError(f"unknown initial guess {init!r}; known: {', '.join(INITS)}")
+    if init == GROUND_TRUTH and not case.sigma:
+        raise StudyError(f"{name}: a real graph has no ground truth")
+    (trial,) = run_case(case, (init,), plan.max_iterations)
     if trial.error:
         raise StudyError(f"{name}: {trial.error}")
     k = trial.success()
@@ -115,8 +155,8 @@ def _run_one(plan: Design, name: str) -> None:
             "success": k is not None,
             "iterations": k,
             "chi2": trial.chi2,
-            "reduced_chi2": trial.chi2[-1 if k is None else k] / trial.degrees_of_freedom,
-            "start_seconds": trial.start_seconds,
+            "reduced_chi2": trial.reduced_chi2(-1 if k is None else k),
+            "init_seconds": trial.init_seconds,
             "solve_seconds": trial.solve_seconds,
         }
     )
@@ -125,7 +165,7 @@ def _run_one(plan: Design, name: str) -> None:
 
 
 def _engine(workers: int, scheduler: str | None) -> tuple[Executor, Callable[..., list[Trial]]]:
-    """Return threads, and what each runs: a case here, or one on the cluster."""
+    """Return threads, and the function that runs a case: in the thread, or on the cluster."""
     if scheduler is None:
         return ThreadPoolExecutor(workers), run_case
     try:
@@ -135,15 +175,15 @@ def _engine(workers: int, scheduler: str | None) -> tuple[Executor, Callable[...
     try:
         client: Any = distributed.Client(scheduler, timeout="20s")  # type: ignore[no-untyped-call]
     except OSError as error:
-        raise StudyError(f"no scheduler answers at {scheduler}: {error}") from None
-    # Twice as many cases at hand as the cluster runs at a time.
+        raise StudyError(f"no Dask scheduler answers at {scheduler}: {error}") from None
+    # Twice as many cases are submitted as run at a time, so that no worker of the cluster waits.
     waiting = 2 * max(1, sum(client.nthreads().values()))
     return ThreadPoolExecutor(waiting), on_cluster(client)
 
 
 def _tell_status(folder: Path, *, as_json: bool = False) -> None:
     with Store(folder) as store:
-        wanted = sum(len(store.design.starts_of(case)) for case in store.design.cases())
+        wanted = store.design.runs()
         trials = list(store.trials())
     failed = [t for t in trials if t.error]
     solved = sum(t.success() is not None for t in trials)
@@ -199,6 +239,6 @@ class _Bar:
             self._bar.stop()
 
     def advance(self, runs: int) -> None:
-        """Take note of runs that came in."""
+        """Count runs that are finished."""
         if not self._silent:
             self._bar.advance(self._task, runs)

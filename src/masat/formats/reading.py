@@ -55,6 +55,19 @@ def read(
         If the file cannot be read.
     """
     path = Path(path)
+    graph = read_without_warnings(path, format=format, indefinite=indefinite)
+    for note in graph.notes:
+        warnings.warn(f"{path}: {note}", MasatWarning, stacklevel=2)
+    return graph
+
+
+def read_without_warnings(
+    path: Path,
+    *,
+    format: str | None = None,  # noqa: A002
+    indefinite: Repair = "error",
+) -> PoseGraph:
+    """Read a pose graph as `read` does, with its notes but without warnings, as threads need it."""
     if indefinite not in ("error", "nearest", "identity"):
         raise ValueError(f'indefinite must be "error", "nearest" or "identity", got {indefinite!r}')
     text = _text(path)
@@ -65,10 +78,7 @@ def read(
         line, message = error.args
         raise FormatError(message, path, line) from None
     notes += _remarks(parsed)
-    graph = _graph(parsed, path, indefinite, notes)
-    for note in graph.notes:
-        warnings.warn(f"{path}: {note}", MasatWarning, stacklevel=2)
-    return graph
+    return _graph(parsed, path, indefinite, notes)
 
 
 def _text(path: Path) -> bytes:

@@ -1,8 +1,9 @@
-"""The paper's evaluation as a study that anyone can run, stop, resume and spread over a cluster."""
+"""Studies: the MASAT paper's evaluation, or a design of your own, to run, resume and report."""
 
 from __future__ import annotations
 
-from masat.study.design import Design, load_design
+from masat.study.design import Design
+from masat.study.design_file import load_design
 from masat.study.names import Case, StudyError, parse_run
 from masat.study.runner import run_study
 from masat.study.store import Store

@@ -14,19 +14,19 @@ _TRIES = 5
 
 
 def on_cluster(client: Any) -> Callable[[Case, tuple[str, ...], int], list[Trial]]:
-    """Return a `run` for `run_study` that has a Dask client run each case, and waits for it.
+    """Return a `run` for `run_study` that runs each case on a Dask cluster and waits for it.
 
-    A case is given again to the cluster if a worker dies with it, or with its result before that
-    has come in: the futures of `Client.get_executor` then fail or never end.
+    A case is submitted again if its worker dies before the result has arrived. The futures of
+    `Client.get_executor` fail or never end in that situation.
     """
 
-    def run(case: Case, starts: tuple[str, ...], max_iterations: int) -> list[Trial]:
+    def run(case: Case, inits: tuple[str, ...], max_iterations: int) -> list[Trial]:
         from distributed import KilledWorker
 
         lost = (asyncio.CancelledError, concurrent.futures.CancelledError, KilledWorker)
         for _ in range(_TRIES):
             future = client.submit(
-                run_case, case, starts, max_iterations, pure=False, retries=_TRIES
+                run_case, case, inits, max_iterations, pure=False, retries=_TRIES
             )
             try:
                 trials: list[Trial] = future.result()
@@ -34,8 +34,8 @@ def on_cluster(client: Any) -> Callable[[Case, tuple[str, ...], int], list[Trial
                 continue
             return trials
         raise StudyError(
-            f"the cluster lost {case.name} {_TRIES} times; what came in is kept: run the same "
-            "command again to go on"
+            f"the cluster lost {case.name} {_TRIES} times; all finished runs are stored: run the "
+            "same command again to continue"
         )
 
     return run

@@ -1,167 +1,80 @@
-"""The design of a study: worlds x noise levels x instances x starts, in one TOML file."""
+"""The design of a study: worlds x noise levels x instances x initial guesses, and real graphs."""
 
 from __future__ import annotations
 
 import json
-import math
-import tomllib
 from dataclasses import asdict, dataclass
-from importlib import resources
-from pathlib import Path
 from typing import Any
 
 from masat.initializers import INITIALIZERS
-from masat.study.names import Case, Sigma, StudyError
-from masat.study.worlds import GROUND_TRUTH, check_world
+from masat.study.names import Case, Sigma
+from masat.study.worlds import GROUND_TRUTH, dimension_of
 
-STARTS = [*(name for name in INITIALIZERS if name != "given"), GROUND_TRUTH]
+INITS = (*(name for name in INITIALIZERS if name != "given"), GROUND_TRUTH)
+"""The initial guesses that a design may name."""
+
+LEVEL_SIZES = {2: (3,), 3: (2, 6)}
+"""How many sigmas a noise level has, by the dimension of the worlds that take it."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """What a study runs.
+    """What a study runs; docs/studies.md describes the keys of a design file.
 
     Attributes
     ----------
     worlds : tuple of str
-        The paper's worlds, or simulated ones as name:nodes:edges.
+        The paper's worlds, or simulated ones such as sphere:500:1000 (NAME:NODES:EDGES).
     sigmas : tuple of tuple of float
-        Noise levels: standard deviations of x, y (meters) and theta (radians).
+        Noise levels: standard deviations in meters and radians. Three are those of x, y and theta
+        for worlds in 2D; two (translation, rotation) or six (x, y, z, and the rotation about x, y
+        and z) are for worlds in 3D. A world takes the levels that fit its dimension.
     instances : int
-        Noisy instances of each world at each level.
-    starts : tuple of str
-        Initial guesses, and "ground_truth".
+        Number of noisy instances of each world at each of its levels.
+    inits : tuple of str
+        Initial guesses, of `INITS`.
     max_iterations : int
-        Of Gauss-Newton.
+        Largest number of Gauss-Newton iterations.
     graphs : tuple of str
-        Real graphs, by their names in `masat.datasets`, solved once from each start but the truth.
+        Real graphs, by their names in `masat.datasets`, solved once from each initial guess except
+        the ground truth.
+    title : str
+        Title of the report.
     """
 
     worlds: tuple[str, ...]
     sigmas: tuple[Sigma, ...]
     instances: int
-    starts: tuple[str, ...]
+    inits: tuple[str, ...]
     max_iterations: int = 50
     graphs: tuple[str, ...] = ()
+    title: str = ""
+
+    def levels_of(self, world: str) -> tuple[Sigma, ...]:
+        """Return the noise levels that fit the dimension of a world."""
+        sizes = LEVEL_SIZES[dimension_of(world)]
+        return tuple(level for level in self.sigmas if len(level) in sizes)
 
     def cases(self) -> list[Case]:
-        """Return all cases, instance by instance, so that a study cut short covers all cells."""
+        """Return all cases, instance by instance, so that a stopped study covers all cells."""
         noisy = [
             Case(world, sigma, k)
             for k in range(self.instances)
             for world in self.worlds
-            for sigma in self.sigmas
+            for sigma in self.levels_of(world)
         ]
         return noisy + [Case(graph, (), 0) for graph in self.graphs]
 
-    def starts_of(self, case: Case) -> tuple[str, ...]:
-        """Return the starts of a case; a real graph has no ground truth."""
-        return tuple(s for s in self.starts if case.sigma or s != GROUND_TRUTH)
+    def inits_of(self, case: Case) -> tuple[str, ...]:
+        """Return the initial guesses of a case; a real graph has no ground truth."""
+        return tuple(i for i in self.inits if case.sigma or i != GROUND_TRUTH)
 
-    def to_json(self) -> str:
-        """Return the design as text; equal designs have equal texts."""
-        return json.dumps(asdict(self), sort_keys=True)
+    def runs(self) -> int:
+        """Return the number of all runs, without listing them."""
+        noisy = self.instances * sum(len(self.levels_of(world)) for world in self.worlds)
+        return noisy * len(self.inits) + len(self.graphs) * len(self.inits_of(Case("", (), 0)))
 
-    @classmethod
-    def from_json(cls, text: str) -> Design:
-        """Return the design of a text that `to_json` made."""
-        table: dict[str, Any] = json.loads(text)
-        table["sigmas"] = tuple(tuple(level) for level in table["sigmas"])
-        for name in ("worlds", "starts", "graphs"):
-            table[name] = tuple(table[name])
-        return cls(**table)
-
-
-def shipped() -> list[str]:
-    """Return the names of the designs that come with the package."""
-    folder = resources.files("masat.study") / "designs"
-    return sorted(p.name.removesuffix(".toml") for p in folder.iterdir())
-
-
-def load_design(name: str) -> Design:
-    """Read a design by the name of one that comes with the package, or from a file.
-
-    Raises
-    ------
-    StudyError
-        Naming the file and the line of what is wrong.
-    """
-    if name in shipped():
-        path = f"{name}.toml"
-        text = (resources.files("masat.study") / "designs" / path).read_text("utf-8")
-    else:
-        path = name
-        if not Path(name).is_file():
-            raise StudyError(f"{name}: no such design; shipped: {', '.join(shipped())}, or a file")
-        text = Path(name).read_text("utf-8")
-    try:
-        return _checked(tomllib.loads(text), text, path)
-    except tomllib.TOMLDecodeError as error:
-        raise StudyError(f"{path}: {error}") from None
-
-
-def _checked(table: dict[str, Any], text: str, path: str) -> Design:
-    def refuse(what: str, *tokens: str) -> StudyError:
-        """Blame the first line that holds a token, the earlier tokens first."""
-        lines = text.splitlines()
-        for token in tokens:
-            for number, line in enumerate(lines, 1):
-                if token in line.split("#")[0]:
-                    return StudyError(f"{path}:{number}: {what}")
-        return StudyError(f"{path}: {what}")
-
-    fields = set(Design.__dataclass_fields__)
-    for key in table:
-        if key not in fields:
-            raise refuse(f"unknown key {key!r}; known: {', '.join(sorted(fields))}", key)
-
-    def names(key: str, *, empty: bool = False) -> tuple[str, ...]:
-        values = table.get(key, [])
-        if not isinstance(values, list) or not all(isinstance(v, str) for v in values):
-            raise refuse(f"{key} must be a list of names", key)
-        if not values and not empty:
-            raise refuse(f"{key} is missing or empty", key)
-        for k, value in enumerate(values):
-            if value in values[:k]:
-                raise refuse(f"{value!r} is named twice in {key}", f'"{value}"', key)
-        return tuple(values)
-
-    def count(key: str, default: int | None = None) -> int:
-        value = table.get(key, default)
-        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-            raise refuse(f"{key} must be a positive integer, got {value!r}", key)
-        return value
-
-    graphs = names("graphs", empty=True)
-    worlds = names("worlds", empty=bool(graphs))
-    for world in worlds:
-        try:
-            check_world(world)
-        except StudyError as error:
-            raise refuse(str(error), f'"{world}"', "worlds") from None
-    starts = names("starts")
-    for start in starts:
-        if start not in STARTS:
-            raise refuse(f"unknown start {start!r}; known: {', '.join(STARTS)}", f'"{start}"')
-    sigmas = table.get("sigmas", [])
-    if worlds and (not isinstance(sigmas, list) or not sigmas):
-        raise refuse("sigmas must be a list of noise levels, such as [0.1, 0.1, 0.1]", "sigmas")
-    for level in sigmas:
-        if not isinstance(level, list) or len(level) != 3:
-            raise refuse(f"a noise level has sigmas of x, y and theta, got {level}", "sigmas")
-        for sigma in level:
-            numeric = isinstance(sigma, int | float) and not isinstance(sigma, bool)
-            if not numeric or not math.isfinite(sigma) or sigma < 0:
-                raise refuse(
-                    f"a sigma must be a number and not negative, got {sigma!r}",
-                    str(sigma),
-                    "sigmas",
-                )
-    return Design(
-        worlds=worlds,
-        sigmas=tuple(tuple(float(s) for s in level) for level in sigmas),
-        instances=count("instances", None if worlds else 1),
-        starts=starts,
-        max_iterations=count("max_iterations", 50),
-        graphs=graphs,
-    )
+    def to_table(self) -> dict[str, Any]:
+        """Return the keys of a design file with their values."""
+        table: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return table

@@ -1,4 +1,4 @@
-"""What is run: a case is a noisy instance of a world, or a real graph; a run is a start from it."""
+"""Names of cases and runs: a case is one graph to solve, a run is one initial guess for it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ class StudyError(MasatError, ValueError):
 
 
 Sigma = tuple[float, ...]
+"""A noise level: standard deviations as `masat.worlds.perturb` takes them; empty for no noise."""
 
 
 def sigma_name(sigma: Sigma) -> str:
@@ -22,7 +23,7 @@ def sigma_name(sigma: Sigma) -> str:
 
 @dataclass(frozen=True, order=True)
 class Case:
-    """A noisy instance of a world, or (with no sigma) a real graph as it is."""
+    """A noisy instance of a world or, with an empty noise level, a real graph as it is."""
 
     world: str
     sigma: Sigma
@@ -30,24 +31,36 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Such as City10k/.35,.35,.35/17."""
+        """The name of the case, such as City10k/.35,.35,.35/17."""
         return f"{self.world}/{sigma_name(self.sigma)}/{self.instance}"
 
     @property
     def seed(self) -> int:
-        """Of the instance's noise: a hash of its name, the same in any study."""
+        """Seed of the instance's noise: a hash of the name, hence the same in every study."""
         return int.from_bytes(hashlib.sha256(self.name.encode()).digest()[:8], "big")
 
 
 def parse_run(name: str) -> tuple[Case, str]:
-    """Return the case and the start of a run's name, such as City10k/.35,.35,.35/17/masat."""
+    """Return the case and the initial guess that a run is named after.
+
+    Parameters
+    ----------
+    name : str
+        WORLD/SIGMAS/INSTANCE/INIT, such as City10k/.35,.35,.35/17/masat; SIGMAS is empty for a
+        real graph: MIT//0/masat.
+
+    Raises
+    ------
+    StudyError
+        If the name has another form.
+    """
     parts = name.split("/")
     try:
-        world, sigmas, instance, start = parts
+        world, sigmas, instance, init = parts
         sigma = tuple(float(s) for s in sigmas.split(",")) if sigmas else ()
-        return Case(world, sigma, int(instance)), start
+        return Case(world, sigma, int(instance)), init
     except ValueError:
         raise StudyError(
-            f"{name!r} names no run: expected WORLD/SIGMAS/INSTANCE/START, such as "
+            f"{name!r} names no run: expected WORLD/SIGMAS/INSTANCE/INIT, such as "
             "City10k/.35,.35,.35/17/masat"
         ) from None

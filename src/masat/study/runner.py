@@ -1,4 +1,4 @@
-"""Running a study on an executor: the machine's cores, or a cluster."""
+"""Running a study on an executor: the cores of this machine, or a cluster."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from masat.study.trial import Trial, run_case
 from masat.study.worlds import load_world
 
 Progress: TypeAlias = Callable[[int], object]
-"""Called with the number of runs that came in."""
+"""Called with the number of runs that were finished since the last call."""
 
 
 def run_study(
@@ -26,31 +26,39 @@ def run_study(
     Parameters
     ----------
     store : Store
-        Filled case by case; a study that is killed loses only the cases in work.
+        Filled case by case; a study that is killed loses only the cases that are running.
     executor : concurrent.futures.Executor
-        Threads do: the core releases the interpreter's lock.
+        Threads are enough: the core releases the interpreter's lock.
     progress : callable, optional
-        Called with the number of runs, first of those found in the store, then of each case.
+        Called with the number of runs: first of those found in the store, then of each case.
     run : callable
-        Runs a case; `masat.study.cluster.on_cluster` has a cluster do it.
+        Runs a case; `masat.study.cluster.on_cluster` makes one that runs it on a cluster.
+
+    Raises
+    ------
+    StudyError
+        If a world cannot be loaded, before any case has run, or the store cannot be written.
     """
-    # A world that cannot be had ends the study before it begins.
-    for world in store.design.worlds:
+    design, done = store.design, store.done()
+    todo = [
+        (case, inits)
+        for case in design.cases()
+        if (inits := tuple(i for i in design.inits_of(case) if (case, i) not in done))
+    ]
+    # Loaded here, a world that is missing ends the study before it begins, and no two threads
+    # load the same one.
+    for world in dict.fromkeys(case.world for case, _ in todo if case.sigma):
         load_world(world)
-    done = store.done()
     if progress is not None:
         progress(len(done))
-    pending: dict[Future[list[Trial]], tuple[str, ...]] = {}
-    for case in store.design.cases():
-        starts = tuple(s for s in store.design.starts_of(case) if (case, s) not in done)
-        if starts:
-            future = executor.submit(run, case, starts, store.design.max_iterations)
-            pending[future] = starts
+    pending: dict[Future[list[Trial]], int] = {}
+    for case, inits in todo:
+        pending[executor.submit(run, case, inits, design.max_iterations)] = len(inits)
     try:
         for future in as_completed(pending):
             store.add(future.result())
             if progress is not None:
-                progress(len(pending.pop(future)))
+                progress(pending.pop(future))
     finally:
         for future in pending:
             future.cancel()

@@ -1,51 +1,81 @@
-"""The store of a study: one SQLite file, whole after any crash."""
+"""The store of a study: one SQLite file that no crash leaves damaged."""
 
 from __future__ import annotations
 
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from masat.study.design import Design
+from masat.study.design_file import check_design
 from masat.study.names import Case, StudyError
+from masat.study.toml_lines import TomlText
 from masat.study.trial import Trial
 
 _FILE = "study.sqlite"
-_TABLES = """
-CREATE TABLE IF NOT EXISTS design (text TEXT NOT NULL);
-CREATE TABLE IF NOT EXISTS trial (
-    world TEXT NOT NULL, sigma TEXT NOT NULL, instance INTEGER NOT NULL, start TEXT NOT NULL,
+
+# Raised whenever the tables change.
+_VERSION = 2
+
+_TABLES = f"""
+BEGIN;
+CREATE TABLE design (text TEXT NOT NULL);
+CREATE TABLE trial (
+    world TEXT NOT NULL, sigma TEXT NOT NULL, instance INTEGER NOT NULL, init TEXT NOT NULL,
     chi2 TEXT NOT NULL, degrees_of_freedom INTEGER NOT NULL,
-    start_seconds REAL NOT NULL, solve_seconds REAL NOT NULL, error TEXT NOT NULL,
-    PRIMARY KEY (world, sigma, instance, start)
+    init_seconds REAL NOT NULL, solve_seconds REAL NOT NULL, error TEXT NOT NULL,
+    PRIMARY KEY (world, sigma, instance, init)
 ) WITHOUT ROWID;
+PRAGMA user_version = {_VERSION};
+COMMIT;
 """
 
 
 class Store:
-    """Trials in `DIR/study.sqlite`, each kept once; every `add` is a transaction.
+    """Trials in `DIR/study.sqlite`, each stored once; every `add` is a transaction.
 
     Parameters
     ----------
     folder : Path
         Made if it does not exist.
     design : Design, optional
-        That of the study. Default: the one that the folder holds.
+        The design of the study. Default: the one that the folder holds.
+
+    Attributes
+    ----------
+    path : Path
+        The SQLite file.
+    design : Design
+        The design of the study.
+
+    Raises
+    ------
+    StudyError
+        If the folder holds no study, one of another design, one that another version of masat
+        has written, or a damaged file.
     """
 
     def __init__(self, folder: Path, design: Design | None = None) -> None:
         self.path = folder / _FILE
         if design is None and not self.path.is_file():
             raise StudyError(f"{folder}: holds no study; begin one with `masat study run`")
-        folder.mkdir(parents=True, exist_ok=True)
         try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StudyError(f"{folder}: cannot be made: {error.strerror or error}") from None
+        with self._readable():
             self._db = sqlite3.connect(self.path, isolation_level=None)
-            self._db.executescript(_TABLES)
-            self.design = self._settle(design)
-        except sqlite3.Error as error:
-            raise StudyError(f"{self.path}: not a readable store: {error}") from None
+        try:
+            with self._readable():
+                self._check_version()
+                self.design = self._stored_design(design)
+        except BaseException:
+            self._db.close()
+            raise
 
     def __enter__(self) -> Store:
         return self
@@ -54,16 +84,16 @@ class Store:
         self._db.close()
 
     def add(self, trials: Iterable[Trial]) -> None:
-        """Keep trials, all or none; a run that is there already stays as it was."""
+        """Store trials, all or none; a run that is stored already is not changed."""
         rows = [
             (
                 t.case.world,
                 json.dumps(t.case.sigma),
                 t.case.instance,
-                t.start,
+                t.init,
                 json.dumps(t.chi2),
                 t.degrees_of_freedom,
-                t.start_seconds,
+                t.init_seconds,
                 t.solve_seconds,
                 t.error,
             )
@@ -83,36 +113,102 @@ class Store:
         except sqlite3.Error as error:
             raise StudyError(
                 f"{self.path}: cannot be written ({error}); what it holds is safe: run the same "
-                "command again to go on"
+                "command again to continue"
             ) from None
 
     def forget_failed(self) -> int:
-        """Drop the failed trials, so that they run again; return how many."""
-        return self._db.execute("DELETE FROM trial WHERE error != ''").rowcount
+        """Delete the failed trials, so that they run again; return their number."""
+        with self._readable():
+            return self._db.execute("DELETE FROM trial WHERE error != ''").rowcount
 
     def done(self) -> set[tuple[Case, str]]:
-        """Return the runs that are there, failed ones included."""
-        rows = self._db.execute("SELECT world, sigma, instance, start FROM trial")
-        return {(_case(world, sigma, k), start) for world, sigma, k, start in rows}
+        """Return the runs that are stored, failed ones included."""
+        with self._readable():
+            rows = self._db.execute("SELECT world, sigma, instance, init FROM trial").fetchall()
+            return {(_case(world, sigma, k), init) for world, sigma, k, init in rows}
 
     def trials(self) -> Iterator[Trial]:
         """Iterate over the trials in the order of their names."""
-        for world, sigma, k, start, chi2, *figures in self._db.execute("SELECT * FROM trial"):
-            yield Trial(_case(world, sigma, k), start, tuple(json.loads(chi2)), *figures)
+        with self._readable():
+            for row in self._db.execute("SELECT * FROM trial"):
+                yield _trial(*row)
 
-    def _settle(self, design: Design | None) -> Design:
+    @contextmanager
+    def _readable(self) -> Iterator[None]:
+        """Turn errors about the content of the file into a StudyError that names it."""
+        try:
+            yield
+        except (sqlite3.Error, ValueError, TypeError, OverflowError, RecursionError) as error:
+            if isinstance(error, StudyError):
+                raise
+            if "locked" in str(error):
+                raise StudyError(
+                    f"{self.path}: another process is writing to it; wait until that has ended"
+                ) from None
+            raise StudyError(
+                f"{self.path}: not a readable store of a study ({error}); choose another folder, "
+                "or delete this one and run the study again"
+            ) from None
+
+    def _check_version(self) -> None:
+        """Make the tables in a new file, and refuse tables of another version."""
+        (version,) = self._db.execute("PRAGMA user_version").fetchone()
+        if version == _VERSION:
+            return
+        (tables,) = self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        if version or tables:
+            raise StudyError(
+                f"{self.path}: was written by another version of masat or another program; choose "
+                "another folder, or delete this one and run the study again"
+            )
+        self._db.executescript(_TABLES)
+
+    def _stored_design(self, wanted: Design | None) -> Design:
+        """Return the design of the file; a new file gets the one that is wanted."""
+        source = TomlText(str(self.path), "")
+        if wanted is not None:
+            check_design(wanted.to_table(), TomlText("design", ""))
         row = self._db.execute("SELECT text FROM design").fetchone()
         if row is None:
-            if design is None:
-                raise StudyError(f"{self.path}: holds no design")
-            self._db.execute("INSERT INTO design VALUES (?)", (design.to_json(),))
-            return design
-        if design is not None and row[0] != design.to_json():
+            if wanted is None:
+                raise StudyError(f"{self.path}: holds no design; begin one with `masat study run`")
+            self._db.execute("INSERT INTO design VALUES (?)", (json.dumps(wanted.to_table()),))
+            return wanted
+        table: Any = json.loads(row[0])
+        if not isinstance(table, dict):
+            raise StudyError(f"{self.path}: holds no design")
+        stored = check_design(table, source)
+        if wanted is None or wanted == stored:
+            return stored
+        if wanted != replace(stored, title=wanted.title):
             raise StudyError(
                 f"{self.path}: belongs to a study of another design; choose another folder"
             )
-        return Design.from_json(row[0])
+        self._db.execute("UPDATE design SET text = ?", (json.dumps(wanted.to_table()),))
+        return wanted
 
 
 def _case(world: str, sigma: str, instance: int) -> Case:
-    return Case(world, tuple(json.loads(sigma)), instance)
+    return Case(str(world), tuple(float(s) for s in json.loads(sigma)), int(instance))
+
+
+def _trial(
+    world: str,
+    sigma: str,
+    instance: int,
+    init: str,
+    chi2: str,
+    degrees_of_freedom: int,
+    init_seconds: float,
+    solve_seconds: float,
+    error: str,
+) -> Trial:
+    return Trial(
+        case=_case(world, sigma, instance),
+        init=str(init),
+        chi2=tuple(float(c) for c in json.loads(chi2)),
+        degrees_of_freedom=int(degrees_of_freedom),
+        init_seconds=float(init_seconds),
+        solve_seconds=float(solve_seconds),
+        error=str(error),
+    )

@@ -1,21 +1,22 @@
-"""Running a case: its starts, Gauss-Newton from each, and what came of it."""
+"""Running a case: Gauss-Newton from each initial guess, and what came of it."""
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from time import perf_counter
 
-from masat.errors import MasatError, MasatWarning
+from masat.errors import MasatError
 from masat.graph import PoseGraph
-from masat.initializers import initialize
+from masat.initializers import INITIALIZERS
 from masat.optimizers import Result, optimize
 from masat.study.names import Case
 from masat.study.worlds import GROUND_TRUTH, load_world
 from masat.worlds import perturb
 
 THRESHOLD = 1e-6
-# Of chi2: a change no larger is rounding, up or down.
+"""Largest change of chi2 at convergence: relative, the default of g2o, or absolute."""
+
+# A relative change of chi2 that is no larger is rounding, whether chi2 rises or falls.
 _ROUNDING = 1e-12
 
 
@@ -25,75 +26,90 @@ class Trial:
 
     Attributes
     ----------
+    case : Case
+        The graph that was solved.
+    init : str
+        The initial guess.
     chi2 : tuple of float
-        At the start and after each iteration; empty if the run failed.
+        chi2 of the initial guess and after each iteration; empty if the run failed.
     degrees_of_freedom : int
-        Measured numbers less unknown ones.
-    start_seconds, solve_seconds : float
+        Number of measured coordinates minus the number of unknown ones.
+    init_seconds, solve_seconds : float
         Wall time of the initial guess and of Gauss-Newton.
     error : str
         Why the run failed; empty if it did not.
     """
 
     case: Case
-    start: str
+    init: str
     chi2: tuple[float, ...]
     degrees_of_freedom: int
-    start_seconds: float
+    init_seconds: float
     solve_seconds: float
     error: str = ""
 
     def success(self, *, relative: bool = True) -> int | None:
-        """Return the iteration at which chi2 stood still, or None.
+        """Return the first iteration at which chi2 converged, or None.
 
-        Relative: 0 <= (before - after) / after < 1e-6, as in g2o, where a rise within rounding
-        counts as 0; absolute: the change is below 1e-6.
+        Relative: 0 <= (before - after) / after < 1e-6 as in g2o, where a rise within rounding
+        counts as no change. Absolute: chi2 changes by less than 1e-6.
         """
         for k in range(1, len(self.chi2)):
             change = self.chi2[k - 1] - self.chi2[k]
             if relative:
-                # An exact fit changes no more, and has no ratio.
+                # Where chi2 is 0 the ratio is not defined, and the change is exactly 0.
                 small = change < THRESHOLD * self.chi2[k] or change == 0
-                still = change >= -_ROUNDING * self.chi2[k] and small
+                converged = change >= -_ROUNDING * self.chi2[k] and small
             else:
-                still = abs(change) < THRESHOLD
-            if still:
+                converged = abs(change) < THRESHOLD
+            if converged:
                 return k
         return None
 
-    def settled(self) -> int | None:
-        """Return the iteration at which chi2 stood still up or down, or None.
+    def convergence(self) -> int | None:
+        """Return the first iteration that hardly changed chi2 in either direction, or None.
 
-        For real graphs, some of which fit exactly: chi2 then flickers by rounding, and may rise.
+        This is the test for real graphs. Some of them fit exactly: their chi2 is all rounding and
+        may rise.
         """
         for k in range(1, len(self.chi2)):
             if abs(self.chi2[k - 1] - self.chi2[k]) < THRESHOLD * max(1.0, self.chi2[k]):
                 return k
         return None
 
+    def reduced_chi2(self, iteration: int) -> float | None:
+        """Return chi2 after an iteration over the degrees of freedom; None if there are none."""
+        if self.degrees_of_freedom <= 0:
+            return None
+        return self.chi2[iteration] / self.degrees_of_freedom
+
 
 def instance(case: Case) -> PoseGraph:
-    """Return the noisy graph of a case with the poses of the truth; a real graph as it is."""
-    if not case.sigma:
-        from masat.datasets import load
+    """Return the noisy graph of a case with the true poses, or a real graph as it is.
 
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", MasatWarning)
-            return load(case.world, indefinite="identity")
-    return perturb(load_world(case.world), case.sigma, seed=case.seed)
+    A real graph gets identity information if its own is not positive definite.
+    """
+    if case.sigma:
+        return perturb(load_world(case.world), case.sigma, seed=case.seed)
+    from masat.datasets import DATASETS, fetch
+    from masat.formats.reading import read_without_warnings
+
+    # Cases run in threads, and the filters of warnings belong to the whole process.
+    return read_without_warnings(
+        fetch(case.world), format=DATASETS[case.world].format, indefinite="identity"
+    )
 
 
-def guess_of(graph: PoseGraph, start: str) -> PoseGraph:
-    """Return the initial guess of a start."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", MasatWarning)
-        return initialize(graph, "given" if start == GROUND_TRUTH else start)
+def initial_guess(graph: PoseGraph, init: str) -> PoseGraph:
+    """Return the graph at an initial guess of `INITIALIZERS`, or at the poses it has: the truth."""
+    # Not `masat.initialize`, whose warnings have no reader here.
+    return INITIALIZERS["given" if init == GROUND_TRUTH else init](graph)
 
 
 def solve(guess: PoseGraph, max_iterations: int) -> Result:
     """Run Gauss-Newton until chi2 changes by less than 1e-6.
 
-    That is the stricter of the two thresholds: the history tells when the relative one was met.
+    This absolute threshold is the stricter one: the history tells when the relative one was met.
     """
     return optimize(
         guess,
@@ -104,31 +120,31 @@ def solve(guess: PoseGraph, max_iterations: int) -> Result:
     )
 
 
-def run_case(case: Case, starts: tuple[str, ...], max_iterations: int) -> list[Trial]:
-    """Run a case from each of the starts; a failure is a trial with its reason."""
+def run_case(case: Case, inits: tuple[str, ...], max_iterations: int) -> list[Trial]:
+    """Run a case from each of the initial guesses; a failure is a trial with its reason."""
     try:
         graph = instance(case)
     except (MasatError, OSError, MemoryError) as error:
-        return [Trial(case, start, (), 0, 0.0, 0.0, _reason(error)) for start in starts]
-    return [_run(case, graph, start, max_iterations) for start in starts]
+        return [Trial(case, init, (), 0, 0.0, 0.0, _reason(error)) for init in inits]
+    return [_run(case, graph, init, max_iterations) for init in inits]
 
 
-def _run(case: Case, graph: PoseGraph, start: str, max_iterations: int) -> Trial:
+def _run(case: Case, graph: PoseGraph, init: str, max_iterations: int) -> Trial:
     try:
-        # What depends on the edges alone is built once a graph, not once a start.
+        # What depends on the edges alone is built once per graph and belongs to no initial guess.
         _ = graph.topology, graph.gauge
         begin = perf_counter()
-        guess = guess_of(graph, start)
+        guess = initial_guess(graph, init)
         guessed = perf_counter()
         result = solve(guess, max_iterations)
-    except Exception as error:  # one bad run must not end the study
-        return Trial(case, start, (), 0, 0.0, 0.0, _reason(error))
+    except Exception as error:  # one failed run must not end the study
+        return Trial(case, init, (), 0, 0.0, 0.0, _reason(error))
     return Trial(
         case=case,
-        start=start,
+        init=init,
         chi2=(result.initial_chi2, *(step.chi2 for step in result.history)),
         degrees_of_freedom=result.degrees_of_freedom,
-        start_seconds=guessed - begin,
+        init_seconds=guessed - begin,
         solve_seconds=result.seconds,
     )
 

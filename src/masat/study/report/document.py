@@ -65,8 +65,13 @@ def markdown(blocks: list[Block]) -> str:
                 parts.append(f"![{caption}]({path.name})\n\n*{caption}*")
             case Table(_, columns, rows):
                 lines = [columns, ("---",) * len(columns), *rows]
-                parts.append("\n".join(f"| {' | '.join(line)} |" for line in lines))
+                parts.append("\n".join(f"| {' | '.join(map(_cell, line))} |" for line in lines))
     return "\n\n".join(parts) + "\n"
+
+
+def _cell(text: str) -> str:
+    """Return text that does not end the cell or the line of a Markdown table."""
+    return " ".join(text.split()).replace("|", "\\|")
 
 
 _STYLE = """

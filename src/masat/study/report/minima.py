@@ -1,6 +1,8 @@
-"""Which minima the starts lead to, and in what time."""
+"""Which minima the initial guesses lead to, and in what time."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -8,47 +10,46 @@ from masat.study.report.cells import Cell
 from masat.study.report.document import Table
 from masat.study.trial import Trial
 
-# chi2 this much higher, relatively, is another minimum.
-_SAME = 1e-6
+# A chi2 that is larger by more than this fraction belongs to another minimum.
+_SAME_MINIMUM = 1e-6
 
 
-def minima_table(cells: list[Cell], starts: tuple[str, ...]) -> Table:
-    """Return the share of all runs that succeed and end in the best minimum of their instance.
+def minima_table(cells: list[Cell], inits: tuple[str, ...]) -> Table:
+    """Return the fraction of all runs that succeed and end in the best minimum of their instance.
 
-    The best is the lowest chi2 of all starts.
+    The best minimum is the lowest chi2 from any initial guess.
     """
     rows = []
     for cell in cells:
-        best = _lowest(cell, starts)
+        best = _lowest(cell, inits)
         row = [cell.world, cell.level]
-        for start in starts:
-            runs = cell.trials[start]
-            reached = [_ends_at(t, best[k]) for k, t in runs.items()]
+        for init in inits:
+            runs = cell.trials[init]
+            reached = [_ends_at(t, best.get(k, math.inf)) for k, t in runs.items()]
             row.append(f"{np.mean(reached):.2f}" if reached else "-")
         rows.append(tuple(row))
-    return Table("minima", ("world", "noise", *starts), tuple(rows))
+    return Table("minima", ("world", "noise", *inits), tuple(rows))
 
 
-def control_table(cells: list[Cell], starts: tuple[str, ...], control: str) -> Table:
-    """Return how many successes end above the chi2 of the control's, and by what share at most."""
+def control_table(cells: list[Cell], inits: tuple[str, ...], control: str) -> Table:
+    """Return how many successes end above the chi2 of the control, and by how much at most."""
     rows = []
     for cell in cells:
+        lowest = {k: min(t.chi2) for k, t in cell.trials[control].items() if t.chi2}
         row = [cell.world, cell.level]
-        for start in starts:
+        for init in inits:
             above = [
-                np.divide(min(t.chi2), min(cell.trials[control][k].chi2)) - 1
-                for k, t in cell.trials[start].items()
-                if t.success() is not None
-                and cell.trials[control].get(k, t).chi2
-                and not _ends_at(t, min(cell.trials[control].get(k, t).chi2))
+                min(t.chi2) / lowest[k] - 1 if lowest[k] > 0 else math.inf
+                for k, t in cell.trials[init].items()
+                if t.success() is not None and k in lowest and not _ends_at(t, lowest[k])
             ]
             row.append(f"{len(above)}, {max(above):.0e}" if above else "0")
         rows.append(tuple(row))
-    return Table("control", ("world", "noise", *starts), tuple(rows))
+    return Table("control", ("world", "noise", *inits), tuple(rows))
 
 
-def total_table(cells: list[Cell], starts: tuple[str, ...], against: str) -> Table:
-    """Return the median total time over that of another start, where both succeed.
+def total_table(cells: list[Cell], inits: tuple[str, ...], against: str) -> Table:
+    """Return median total times relative to those of another initial guess, where both succeed.
 
     Gauss-Newton counts up to the iteration at which the relative threshold was met.
     """
@@ -56,10 +57,10 @@ def total_table(cells: list[Cell], starts: tuple[str, ...], against: str) -> Tab
     for cell in cells:
         others = cell.trials[against]
         row = [cell.world, cell.level, f"{cell.rate(against)[0] / max(len(others), 1):.2f}"]
-        for start in starts:
+        for init in inits:
             both = [
                 (_total(t), _total(others[k]))
-                for k, t in cell.trials[start].items()
+                for k, t in cell.trials[init].items()
                 if k in others and t.success() is not None and others[k].success() is not None
             ]
             if both:
@@ -68,23 +69,25 @@ def total_table(cells: list[Cell], starts: tuple[str, ...], against: str) -> Tab
             else:
                 row.append("-")
         rows.append(tuple(row))
-    return Table("totals", ("world", "noise", f"{against}'s rate", *starts), tuple(rows))
+    return Table("totals", ("world", "noise", f"success of {against}", *inits), tuple(rows))
 
 
-def _lowest(cell: Cell, starts: tuple[str, ...]) -> dict[int, float]:
+def _lowest(cell: Cell, inits: tuple[str, ...]) -> dict[int, float]:
+    """Return the lowest chi2 of each instance of which any run did not fail."""
     lowest: dict[int, float] = {}
-    for start in starts:
-        for k, trial in cell.trials[start].items():
+    for init in inits:
+        for k, trial in cell.trials[init].items():
             if trial.chi2:
-                lowest[k] = min(lowest.get(k, np.inf), *trial.chi2)
+                lowest[k] = min(lowest.get(k, math.inf), *trial.chi2)
     return lowest
 
 
 def _ends_at(trial: Trial, chi2: float) -> bool:
-    # The lowest: after its success Gauss-Newton goes on to the absolute threshold, and may climb.
-    return trial.success() is not None and min(trial.chi2) <= chi2 * (1 + _SAME)
+    # The lowest chi2 counts: after its success Gauss-Newton runs on to the absolute threshold, and
+    # chi2 may rise.
+    return trial.success() is not None and min(trial.chi2) <= chi2 * (1 + _SAME_MINIMUM)
 
 
 def _total(trial: Trial) -> float:
     steps = trial.success() or 0
-    return trial.start_seconds + trial.solve_seconds * steps / (len(trial.chi2) - 1)
+    return trial.init_seconds + trial.solve_seconds * steps / (len(trial.chi2) - 1)
