@@ -10,7 +10,7 @@ from random_graphs import random_graph
 import masat
 from masat import GraphError, MasatError, PoseGraph, lie
 from masat.plotting import before_and_after
-from masat.plotting import figures as figures_module
+from masat.plotting import panel as panel_module
 from masat.plotting.panel import CLOSURES, TRAJECTORY, occupied, stroke
 from masat.worlds import manhattan
 
@@ -158,15 +158,41 @@ def test_the_legend_names_what_is_drawn():
 
 
 def test_the_legend_tells_that_not_all_loop_closures_are_drawn(monkeypatch):
-    monkeypatch.setattr(figures_module, "_MOST_CLOSURES", 25)
+    monkeypatch.setattr(panel_module, "_MOST_CLOSURES", 25)
     large, small = manhattan(100, 150, extent=6), manhattan(100, 110, extent=6)
-    figure = masat.plot({"large": large, "small": small})
+    figure = masat.plot(large)
     assert "loop closures (1 in 3 drawn)" in legend(figure)
-    assert [len(lines(ax)[1].get_segments()) for ax in figure.axes] == [17, 4]
-    assert [len(lines(ax)[0].get_segments()) for ax in figure.axes] == [99, 99]
+    assert [len(drawn.get_segments()) for drawn in lines(figure.axes[0])] == [99, 17]
+    # Each panel tells its own number.
+    figure = masat.plot({"large": large, "small": small})
+    assert "loop closures (not all drawn)" in legend(figure)
+    assert ["1 in 3 drawn" in ax.texts[0].get_text() for ax in figure.axes] == [True, False]
+    assert [len(lines(ax)[1].get_segments()) for ax in figure.axes] == [17, 11]
     # Colored by chi2 the edges that fit worst are looked for: all are drawn.
     (every,) = lines(masat.plot(large, color_by_error=True).axes[0])
     assert len(every.get_segments()) == 150
+
+
+def test_long_loop_closures_that_would_hide_all_else_are_thinned_out():
+    random = np.random.default_rng(0)
+    poses = np.column_stack([random.uniform(0, 100, (400, 2)), np.zeros(400)])
+    chain = np.column_stack([np.arange(399), np.arange(1, 400)])
+    loops = random.integers(400, size=(40000, 2))
+    edges = np.concatenate([chain, loops[np.abs(loops[:, 0] - loops[:, 1]) > 1]])
+    graph = PoseGraph.from_arrays(edges, np.zeros((len(edges), 3)), poses=poses)
+    figure = masat.plot(graph)
+    odometry, closures = (len(drawn.get_segments()) for drawn in lines(figure.axes[0]))
+    assert odometry == 399
+    # Random chords of a square are .52 sides long on average. 40,000 of them, at .15 points and an
+    # alpha of .1, cover 312 points times the side: twice .28 of a side of 576 points.
+    assert closures == -(-(len(edges) - 399) // 2)
+    assert "loop closures (1 in 2 drawn)" in legend(figure)
+
+
+def test_the_legend_is_not_as_faint_as_the_lines():
+    graph = random_graph(2, 300, 20000, seed=1)
+    (box,) = masat.plot(graph).legends
+    assert {line.get_alpha() for line in box.get_lines()} == {1.0}
 
 
 def test_a_title_is_no_formula():
@@ -177,10 +203,11 @@ def test_a_title_is_no_formula():
 
 def test_lines_cover_the_area_asked_for():
     # 10 panels long, 1 point wide: 10 panel points.
-    assert stroke(10, 10, widest=2) == (1, 1)
-    assert stroke(10, 100, widest=2) == (2, 1)
-    width, alpha = stroke(1000, 30, widest=2)
-    assert (width, alpha) == (0.15, pytest.approx(0.2))
+    assert stroke(10, 10, widest=2) == (1, 1, 1)
+    assert stroke(10, 100, widest=2) == (2, 1, 1)
+    assert stroke(1000, 30, widest=2) == (0.15, pytest.approx(0.2), 1)
+    # Half of the faintest lines cover it.
+    assert stroke(1000, 7.5, widest=2) == (0.15, 0.1, 2)
 
 
 def test_the_cells_that_lines_run_through_are_counted():

@@ -96,7 +96,7 @@ def _chain(graph: PoseGraph, d: Diagnosis) -> str | None:
     if d.odometry_edges == 0:
         return (
             "There is no odometry: no edge joins nodes with consecutive ids. Use an initial guess "
-            "other than odometry."
+            "other than 'odometry'."
         )
     low, high = np.sort(graph.edge_indices, axis=1).T
     k = int(np.setdiff1d(np.arange(d.nodes - 1), low[high - low == 1])[0])
@@ -104,7 +104,7 @@ def _chain(graph: PoseGraph, d: Diagnosis) -> str | None:
     return (
         f"The odometry chain is broken {times} nodes {graph.ids[k]} and {graph.ids[k + 1]}, which "
         "no edge joins. Check whether measurements were lost, or use an initial guess other than "
-        "odometry."
+        "'odometry'."
     )
 
 
@@ -164,7 +164,7 @@ def _placeholders(graph: PoseGraph, d: Diagnosis) -> str | None:
         return None
     return (
         "All poses of the nodes that are not fixed are the same: they are placeholders. Use an "
-        "initial guess other than given."
+        "initial guess other than 'given'."
     )
 
 

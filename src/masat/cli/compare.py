@@ -126,7 +126,7 @@ def compare(
     if picture is not None:
         from masat.plotting import plot
 
-        plot({f"{r.init}: chi2 {r.result.chi2:.4g}": r.result.graph for r in runs}, picture)
+        plot({r.init: r.result.graph for r in runs}, picture)
     if as_json:
         show.as_json(
             {

@@ -48,7 +48,7 @@ def demo(nodes: int, noise: float, seed: int, picture: Path, as_json: bool, quie
     shown = [r for r in runs if r.init in _DRAWN]
     plot(
         {f"initial guess: {r.init}": r.guess for r in shown}
-        | {f"{r.init}, optimized: chi2 {r.result.chi2:.4g}": r.result.graph for r in shown},
+        | {f"optimized from {r.init}": r.result.graph for r in shown},
         picture,
         columns=len(shown),
     )

@@ -12,7 +12,7 @@ import numpy as np
 from masat.errors import GraphError, MasatError
 from masat.files import write_atomically
 from masat.graph import PoseGraph
-from masat.plotting.panel import Panel, Style
+from masat.plotting.panel import Panel, Style, radius_of
 from masat.plotting.views import View, drawn_axes
 from masat.residuals import chi2_per_edge
 
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 # Inches a panel: one or two panels get a larger share of a page that is about 12 inches wide.
 _SMALLEST_PANEL, _LARGEST_PANEL, _PAGE = 5.0, 8.0, 12.0
-# More loop closures than this in one panel take seconds to draw and cannot be told apart.
-_MOST_CLOSURES = 200_000
 
 
 def plot(
@@ -40,8 +38,8 @@ def plot(
     """Draw the trajectory and the loop closures of graphs side by side.
 
     Edges between consecutive ids are drawn as odometry, all others as loop closures on top. Lines
-    get thinner, and then more transparent, the more of them there are. Beyond 200,000 loop closures
-    only every k-th is drawn, and the legend says so.
+    get thinner, and then more transparent, the more of them there are. Where loop closures would
+    still hide all else, only every k-th is drawn; the legend and the line above the panel say so.
 
     Parameters
     ----------
@@ -94,21 +92,20 @@ def plot(
     figure = Picture(figsize=(size * columns, size * rows), dpi=dpi, layout="constrained")
     file_format = "png" if path is None else _file_format(Path(path), figure)
     color = _error_scale(panels) if color_by_error else None
-    drawn = [Panel(graph) for graph in panels.values()]
-    shown = drawn_axes([p.graph for p in drawn if p.graph.dimension == 3], view)
     style = Style(
+        axes=drawn_axes([g for g in panels.values() if g.dimension == 3], view),
         color=color,
-        stride=1 if color else _stride(drawn),
         points=72 * size,
-        radius=max(p.radius for p in drawn) if same_scale else None,
+        radius=max(map(radius_of, panels.values())) if same_scale else None,
     )
+    drawn = [Panel(graph, style) for graph in panels.values()]
     axes = []
     for k, (title, panel) in enumerate(zip(panels, drawn, strict=True), 1):
-        oblique = panel.graph.dimension == len(shown) == 3
-        ax = figure.add_subplot(rows, columns, k, projection="3d" if oblique else None)
-        panel.draw(ax, title, shown, style)
+        projection = "3d" if panel.is_oblique else None
+        ax = figure.add_subplot(rows, columns, k, projection=projection)
+        panel.draw(ax, title)
         axes.append(ax)
-    _legend(figure, axes)
+    _legend(figure, axes, {panel.stride for panel in drawn if len(panel.closures)})
     if color is not None:
         figure.colorbar(color, ax=axes, label="chi2 of the edge", shrink=0.7)
     if path is not None:
@@ -124,11 +121,6 @@ def _file_format(path: Path, figure: Picture) -> str:
     return chosen
 
 
-def _stride(panels: list[Panel]) -> int:
-    """Return k, such that every k-th loop closure is drawn: one k for all, as for the legend."""
-    return max(1, *(-(-int(p.closures.sum()) // _MOST_CLOSURES) for p in panels))
-
-
 def _error_scale(panels: Mapping[str, PoseGraph]) -> ScalarMappable:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LogNorm
@@ -141,23 +133,28 @@ def _error_scale(panels: Mapping[str, PoseGraph]) -> ScalarMappable:
     return ScalarMappable(LogNorm(high * 1e-4, high), "viridis")
 
 
-def _legend(figure: Picture, axes: list[Any]) -> None:
-    """Add one legend for all panels, below them."""
+def _legend(figure: Picture, axes: list[Any], strides: set[int]) -> None:
+    """Add one legend for all panels, below them, that tells if loop closures are left out."""
     entries: dict[str, Any] = {}
     for ax in axes:
         handles, labels = ax.get_legend_handles_labels()
         for handle, label in zip(handles, labels, strict=True):
             entries.setdefault(label, handle)
-    if not entries:
-        return
+    left_out = ""
+    if strides != {1} and len(strides) == 1:
+        left_out = f" (1 in {min(strides)} drawn)"
+    elif len(strides) > 1:
+        left_out = " (not all drawn)"  # the caption of each panel tells how many
+    labels = [name + left_out if name == "loop closures" else name for name in entries]
     legend = figure.legend(
         list(entries.values()),
-        list(entries),
+        labels,
         loc="outside lower center",
         ncols=len(entries),
         frameon=False,
         fontsize=9,
     )
     for line in legend.get_lines():
+        line.set_alpha(1.0)
         if line.get_linestyle() != "None":
             line.set_linewidth(1.5)

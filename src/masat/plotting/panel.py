@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from masat.arrays import Flags, Floats, Ids
+from masat.arrays import Floats, Ids
 from masat.graph import PoseGraph
 from masat.residuals import chi2_per_edge
 
@@ -18,9 +19,14 @@ if TYPE_CHECKING:
 # Dark blue and vermilion: with every kind of color blindness one is dark and the other light.
 TRAJECTORY, CLOSURES = "#12436d", "#ed6a0f"
 _MARKS = "#000000"
-# Lines thinner than this (points) are drawn transparent instead.
-_THINNEST = 0.15
-_FAINTEST = 0.04
+# Which part of the cells that they run through lines may cover, and their largest width in points.
+# Loop closures get less, so that the trajectory shows through where there are many.
+_ODOMETRY_INK, _CLOSURES_INK, _CHI2_INK = (0.4, 1.2), (0.28, 0.5), (0.5, 1.0)
+# Lines thinner than this (points) are drawn transparent instead, down to this alpha: fainter lines
+# get wrong colors, since a picture has 256 shades.
+_THINNEST, _FAINTEST = 0.15, 0.1
+# More loop closures than this take seconds to draw and cannot be told apart.
+_MOST_CLOSURES = 200_000
 # Vector files with more edges than this are slow to open: their lines are stored as pixels.
 _MOST_VECTORS = 20_000
 _MANY_FIXED = 50
@@ -35,56 +41,81 @@ class Style:
 
     Attributes
     ----------
+    axes : tuple of int
+        Coordinates of 3D graphs to draw: two for a projection, three for an oblique view.
     color : ScalarMappable or None
         The scale of chi2, or None for one color a kind of edge.
-    stride : int
-        The first, and then each `stride`-th loop closure is drawn.
     points : float
         Side of a panel, in points (1/72 inch).
     radius : float or None
         Half of the meters that each panel shows, or None to fit each to its graph.
     """
 
+    axes: tuple[int, ...]
     color: ScalarMappable | None
-    stride: int
     points: float
     radius: float | None
 
 
+class Stroke(NamedTuple):
+    """How lines are drawn.
+
+    Attributes
+    ----------
+    width : float
+        Width in points.
+    alpha : float
+        1 is opaque.
+    stride : int
+        Only every `stride`-th line may be drawn, otherwise even the faintest lines cover too much.
+    """
+
+    width: float
+    alpha: float
+    stride: int
+
+
+def radius_of(graph: PoseGraph) -> float:
+    """Return half of the largest extent of the poses, in meters, at least a millimeter."""
+    assert graph.poses is not None
+    return max(float(np.ptp(graph.poses[:, : graph.dimension], axis=0).max()) / 2, 1e-3)
+
+
 class Panel:
-    """A graph with poses, to be drawn."""
+    """A graph with poses, to be drawn in axes of its own."""
 
-    def __init__(self, graph: PoseGraph) -> None:
+    def __init__(self, graph: PoseGraph, style: Style) -> None:
         assert graph.poses is not None
+        axes = (0, 1) if graph.dimension == 2 else style.axes
         self.graph = graph
-        self.positions: Floats = graph.poses[:, : graph.dimension]
+        self.style = style
+        self.names = "".join("xyz"[k] for k in axes)
+        self.is_oblique = len(axes) == 3
+        self.radius = style.radius or radius_of(graph)
+        self.positions: Floats = graph.poses[:, axes]
+        ends = graph.edge_indices
+        is_odometry = np.abs(ends[:, 0] - ends[:, 1]) == 1
+        self.odometry = np.flatnonzero(is_odometry)
+        self.closures = np.flatnonzero(~is_odometry)
 
     @cached_property
-    def closures(self) -> Flags:
-        """Which edges are loop closures, (m,)."""
-        ends = self.graph.edge_indices
-        closes: Flags = np.abs(ends[:, 0] - ends[:, 1]) != 1
-        return closes
+    def stride(self) -> int:
+        """Every `stride`-th loop closure is drawn: all of them, unless they would hide all else.
 
-    @cached_property
-    def radius(self) -> float:
-        """Half of the largest extent, in meters, at least a millimeter."""
-        return max(float(np.ptp(self.positions, axis=0).max()) / 2, 1e-3)
-
-    def draw(self, ax: Any, title: str, axes: tuple[int, ...], style: Style) -> None:
-        """Draw the graph into empty axes.
-
-        Of a 3D graph the coordinates `axes` are drawn: two for a projection, three into 3D axes.
+        Colored by chi2 all are drawn, since the few with a large chi2 are looked for.
         """
-        planar = self.graph.dimension == 2
-        shown = self.positions if planar else self.positions[:, axes]
-        names = "xy" if planar else "".join("xyz"[k] for k in axes)
-        if len(names) == 3:
+        if self.style.color is not None or len(self.closures) == 0:
+            return 1
+        too_many = math.ceil(len(self.closures) / _MOST_CLOSURES)
+        return max(self._stroke(self.closures, *_CLOSURES_INK).stride, too_many)
+
+    def draw(self, ax: Any, title: str) -> None:
+        """Draw the graph into empty axes, which are three-dimensional for an oblique view."""
+        if self.is_oblique:
             ax.computed_zorder = False  # otherwise 3D axes guess what lies on top
-        self._draw_edges(ax, shown, style)
-        self._draw_marks(ax, shown)
-        radius = _MARGIN * (style.radius or self.radius)
-        _frame(ax, shown, names, radius, is_shared=style.radius is not None)
+        self._draw_edges(ax)
+        self._draw_marks(ax)
+        self._frame(ax)
         ax.set_title(title, parse_math=False, pad=18)
         ax.annotate(
             self._caption(),
@@ -103,78 +134,91 @@ class Panel:
         if edges == 0:
             return f"{_count(nodes, 'node')}, no edges"
         # Loop closures between equal poses have no length: their number tells that they are there.
-        closures = _count(int(self.closures.sum()), "loop closure")
+        closures = _count(len(self.closures), "loop closure")
+        if self.stride > 1:
+            closures += f", 1 in {self.stride} drawn"
         chi2 = float(chi2_per_edge(self.graph).sum())
         return f"{_count(nodes, 'node')}, {_count(edges, 'edge')} ({closures}), chi2 {chi2:.4g}"
 
-    def _draw_edges(self, ax: Any, shown: Floats, style: Style) -> None:
-        chosen = np.flatnonzero(self.closures)[:: style.stride]
-        drawn = "" if style.stride == 1 else f" (1 in {style.stride} drawn)"
-        chain = np.flatnonzero(~self.closures)
-        if style.color is None:
-            odometry = {"color": TRAJECTORY, "zorder": 2, "label": "odometry"}
-            loops = {"color": CLOSURES, "zorder": 3, "label": f"loop closures{drawn}"}
-            self._draw_lines(ax, shown, chain, style, ink=0.4, widest=1.2, **odometry)
-            # Less ink, so that the trajectory shows through where there are many.
-            self._draw_lines(ax, shown, chosen, style, ink=0.28, widest=0.5, **loops)
+    def _draw_edges(self, ax: Any) -> None:
+        color = self.style.color
+        if color is None:
+            chosen = self.closures[:: self.stride]
+            odometry: dict[str, Any] = {"color": TRAJECTORY, "zorder": 2, "label": "odometry"}
+            loops: dict[str, Any] = {"color": CLOSURES, "zorder": 3, "label": "loop closures"}
+            self._draw_lines(ax, self.odometry, *_ODOMETRY_INK, **odometry)
+            self._draw_lines(ax, chosen, *_CLOSURES_INK, **loops)
             return
-        low, _ = style.color.get_clim()
+        low, _ = color.get_clim()
         chi2 = np.maximum(chi2_per_edge(self.graph), low or 0.0)  # zero has no logarithm
         order = np.argsort(chi2, kind="stable")
-        look = {"array": chi2[order], "cmap": style.color.cmap, "norm": style.color.norm}
-        self._draw_lines(ax, shown, order, style, ink=0.5, widest=1.0, zorder=2, **look)
+        look: dict[str, Any] = {"array": chi2[order], "cmap": color.cmap, "norm": color.norm}
+        self._draw_lines(ax, order, *_CHI2_INK, zorder=2, **look)
 
-    def _draw_lines(
-        self,
-        ax: Any,
-        shown: Floats,
-        edges: Ids,
-        style: Style,
-        *,
-        ink: float,
-        widest: float,
-        **look: Any,
-    ) -> None:
-        """Draw edges; `ink` is the fraction of the map's part of the panel that they may cover."""
+    def _draw_lines(self, ax: Any, edges: Ids, ink: float, widest: float, **look: Any) -> None:
         if len(edges) == 0:
             return
-        segments = shown[self.graph.edge_indices[edges]]
-        side = 2 * (style.radius or self.radius)
-        length = float(np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1).sum()) / side
-        width, alpha = stroke(length, ink * style.points * occupied(segments, side), widest)
-        if shown.shape[1] == 3:
+        if self.is_oblique:
             from mpl_toolkits.mplot3d.art3d import Line3DCollection as Lines
         else:
             from matplotlib.collections import LineCollection as Lines
+        width, alpha, _ = self._stroke(edges, ink, widest)
         lines = Lines(
-            segments,
+            self.positions[self.graph.edge_indices[edges]],
             linewidths=width,
             alpha=alpha,
             capstyle="butt",
             rasterized=len(self.graph.edges) > _MOST_VECTORS,
             **look,
         )
-        if shown.shape[1] == 3:
+        if self.is_oblique:
             ax.add_collection3d(lines)
         else:
             ax.add_collection(lines, autolim=False)
 
-    def _draw_marks(self, ax: Any, shown: Floats) -> None:
+    def _stroke(self, edges: Ids, ink: float, widest: float) -> Stroke:
+        """Return how to draw edges that may cover a part `ink` of the cells they run through."""
+        segments = self.positions[self.graph.edge_indices[edges]]
+        side = 2 * self.radius
+        length = float(np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1).sum()) / side
+        return stroke(length, ink * self.style.points * occupied(segments, side), widest)
+
+    def _draw_marks(self, ax: Any) -> None:
         fixed = self.graph.index(self.graph.fixed)
         if len(fixed):
             size = 5 if len(fixed) <= _MANY_FIXED else 2
-            ax.plot(*shown[fixed].T, "s", color=_MARKS, markersize=size, zorder=4,
+            ax.plot(*self.positions[fixed].T, "s", color=_MARKS, markersize=size, zorder=4,
                     label="fixed node" if len(fixed) == 1 else "fixed nodes")  # fmt: skip
-        ax.plot(*shown[:1].T, "o", markerfacecolor="white", markeredgecolor=_MARKS,
+        ax.plot(*self.positions[:1].T, "o", markerfacecolor="white", markeredgecolor=_MARKS,
                 markersize=6, zorder=5, label="first node")  # fmt: skip
+
+    def _frame(self, ax: Any) -> None:
+        """Set limits and labels, with a meter as long on each axis."""
+        low, high = self.positions.min(axis=0), self.positions.max(axis=0)
+        middle = (low + high) / 2
+        reach = np.full(len(self.names), _MARGIN * self.radius)
+        if not self.is_oblique:
+            ax.set_aspect("equal")
+        else:
+            if self.style.radius is None:
+                # A cube around a long map would leave most of the panel empty.
+                reach = np.maximum(_MARGIN * (high - low) / 2, 0.1 * self.radius)
+            ax.set_box_aspect(tuple(reach), zoom=0.88)  # otherwise the label of z is cut off
+            for axis, half in zip("xyz", reach, strict=True):
+                ax.locator_params(axis, nbins=max(2, round(6 * half / reach.max())))
+            # The longer horizontal axis runs across the picture.
+            ax.view_init(elev=30, azim=-60 if reach[0] >= reach[1] else -30)
+        # A projection along y shows x and z on the two axes that matplotlib calls x and y.
+        for axis, name, center, half in zip("xyz", self.names, middle, reach, strict=False):
+            ax.set(**{f"{axis}lim": (center - half, center + half), f"{axis}label": f"{name} [m]"})
 
 
 def _count(number: int, noun: str) -> str:
     return f"{number:,} {noun}" + ("" if number == 1 else "s")
 
 
-def stroke(length: float, area: float, widest: float) -> tuple[float, float]:
-    """Return the width (points) and the alpha of lines that cover a given area in total.
+def stroke(length: float, area: float, widest: float) -> Stroke:
+    """Return how to draw lines that cover a given area in total.
 
     Parameters
     ----------
@@ -187,7 +231,9 @@ def stroke(length: float, area: float, widest: float) -> tuple[float, float]:
     """
     wanted = area / max(length, 1e-9)
     width = min(max(wanted, _THINNEST), widest)
-    return width, float(np.clip(wanted / width, _FAINTEST, 1.0))
+    alpha = min(wanted / width, 1.0)
+    stride = max(1, math.ceil(_FAINTEST / alpha * (1 - 1e-9)))
+    return Stroke(width, max(alpha, _FAINTEST), stride)
 
 
 def occupied(segments: Floats, side: float) -> float:
@@ -203,23 +249,3 @@ def occupied(segments: Floats, side: float) -> float:
         at = ((points - low[axes]) * (_CELLS / side)).astype(np.int64).clip(0, _CELLS)
         cells[at[:, 0], at[:, 1]] = True
     return min(float(cells.sum()) / _CELLS**2, 1.0)
-
-
-def _frame(ax: Any, shown: Floats, names: str, radius: float, *, is_shared: bool) -> None:
-    """Set limits and labels, with a meter as long on each axis."""
-    low, high = shown.min(axis=0), shown.max(axis=0)
-    middle, reach = (low + high) / 2, np.full(len(names), radius)
-    if len(names) == 2:
-        ax.set_aspect("equal")
-    else:
-        if not is_shared:
-            # A cube around a long map would leave most of the panel empty.
-            reach = np.maximum((high - low) / 2 * _MARGIN, 0.1 * radius)
-        ax.set_box_aspect(tuple(reach), zoom=0.88)  # otherwise the label of z is cut off
-        for axis, half in zip("xyz", reach, strict=True):
-            ax.locator_params(axis, nbins=max(2, round(6 * half / reach.max())))
-        # The longer horizontal axis runs across the picture.
-        ax.view_init(elev=30, azim=-60 if reach[0] >= reach[1] else -30)
-    # A projection along y shows x and z on the two axes that matplotlib calls x and y.
-    for axis, name, center, half in zip("xyz", names, middle, reach, strict=False):
-        ax.set(**{f"{axis}lim": (center - half, center + half), f"{axis}label": f"{name} [m]"})
