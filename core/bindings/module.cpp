@@ -1,4 +1,4 @@
-// The Python face of the core, described for readers in src/masat/_core.pyi.
+// The Python module of the core; src/masat/_core.pyi describes it.
 #include <nanobind/nanobind.h>
 
 #include "bindings/bindings.hpp"
@@ -17,7 +17,8 @@ void raise_pending_signal() {
 NB_MODULE(_core, m) {
   using namespace masat;
 
-  // Tables of records live as long as the interpreter: no leak to warn of.
+  // Module-level tables of records live until the interpreter ends, which nanobind reports as
+  // leaks.
   nb::set_leak_warnings(false);
   set_interrupt_check(&raise_pending_signal);
 

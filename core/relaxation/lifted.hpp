@@ -178,7 +178,7 @@ class Lifted {
     GraphMatrix out(matrix_.elimination(), 1);
     const auto entries = static_cast<std::int64_t>(matrix_.pattern().row.size());
     for (std::int64_t e = 0; e < entries; ++e) *out.block(e) = matrix_.block(e)[kRows * kRows - 1];
-    out.factorize(std::vector<double>(nodes_));
+    (void)out.factorize(std::vector<double>(nodes_));
     return out;
   }
 
