@@ -15,8 +15,8 @@ def topology():
     return _core.Topology(2, EDGE)
 
 
-def elimination(held, order=()):
-    return _core.Elimination(topology(), held, np.array(order, np.int32))
+def elimination(fixed, order=()):
+    return _core.Elimination(topology(), fixed=fixed, order=np.array(order, np.int32))
 
 
 @pytest.mark.parametrize("edge", [[0, 2], [-1, 0]])
@@ -60,20 +60,56 @@ def test_an_elimination_refuses_what_does_not_fit():
         elimination(np.zeros(2, bool), [0, 2])
 
 
-def test_nothing_is_solved_before_it_is_factorized():
-    matrix = _core.GraphMatrix(elimination(np.array([True, False])), 2)
-    with pytest.raises(ValueError, match="factorize before solving"):
-        matrix.solve(np.zeros((1, 2, 1)))
+@pytest.mark.parametrize("factorized", ["never", "with a failed pivot"])
+def test_only_a_successful_factorization_is_solved_with(factorized):
+    index = np.zeros(1, np.int32)
+    fixed = np.array([True, False])
+    matrix = _core.GraphMatrix(elimination(fixed), 2)
+    equations = _core.NormalEquations(
+        topology(), elimination(fixed), FLOATS[2][:1], np.eye(3)[None]
+    )
+    if factorized != "never":
+        equations.linearize(FLOATS[2])
+        # A success before must not count.
+        assert matrix.factorize(np.ones(2)) == -1
+        assert equations.factorize(np.ones(3)) == -1
+        assert matrix.factorize(np.array([1.0, -1.0])) == 0
+        assert equations.factorize(np.array([1.0, -9.0, 1.0])) == 1
+    for call in (
+        lambda: matrix.solve(np.zeros((1, 2, 1))),
+        lambda: matrix.inverse(index, index),
+        lambda: matrix.pivot_ratio(),
+        lambda: equations.solve(),
+        lambda: equations.inverse(index, index),
+        lambda: equations.pivot_ratio(),
+    ):
+        with pytest.raises(RuntimeError, match="the matrix is not factorized: call factorize"):
+            call()
+    assert matrix.factorize(np.array([2.0, 4.0])) == -1
+    assert np.allclose(matrix.solve(np.ones((1, 2, 1))).ravel(), [0.5, 0.25], rtol=1e-15)
+    assert np.allclose(matrix.inverse(index, index)[0], np.diag([0.5, 0.25]), rtol=1e-15)
+
+
+@pytest.mark.parametrize("threads", [2**31, -(2**31) - 1, 1.5])
+def test_numbers_of_threads_that_are_no_c_integers_are_refused(threads):
+    with pytest.raises(TypeError):
+        _core.NormalEquations(
+            topology(),
+            elimination(np.array([True, False])),
+            FLOATS[2][:1],
+            np.eye(3)[None],
+            threads,
+        )
 
 
 def test_equations_refuse_what_does_not_fit():
     a = FLOATS[2]
-    held = np.array([True, False])
+    fixed = np.array([True, False])
     with pytest.raises(ValueError, match=r"\(m, d, d\)"):
-        _core.NormalEquations(topology(), elimination(held), a[:1], np.zeros((1, 6, 6)))
+        _core.NormalEquations(topology(), elimination(fixed), a[:1], np.zeros((1, 6, 6)))
     with pytest.raises(ValueError, match="same graph"):
-        _core.NormalEquations(_core.Topology(3, EDGE), elimination(held), a[:1], np.eye(3)[None])
-    equations = _core.NormalEquations(topology(), elimination(held), a[:1], np.eye(3)[None])
+        _core.NormalEquations(_core.Topology(3, EDGE), elimination(fixed), a[:1], np.eye(3)[None])
+    equations = _core.NormalEquations(topology(), elimination(fixed), a[:1], np.eye(3)[None])
     with pytest.raises(ValueError, match="poses must be"):
         equations.chi2(FLOATS[3])
     with pytest.raises(ValueError, match="damping"):
@@ -82,12 +118,13 @@ def test_equations_refuse_what_does_not_fit():
         equations.retract(a, np.zeros(6))
 
 
-def test_equations_without_unknowns_are_solved_by_nothing():
-    nothing = elimination(np.ones(2, bool))
-    equations = _core.NormalEquations(topology(), nothing, FLOATS[2][:1], np.eye(3)[None])
+def test_equations_without_unknowns_have_an_empty_solution():
+    all_fixed = elimination(np.ones(2, bool))
+    equations = _core.NormalEquations(topology(), all_fixed, FLOATS[2][:1], np.eye(3)[None])
     assert equations.linearize(FLOATS[2]) == 0
     assert equations.factorize(np.zeros(0)) == -1
     assert equations.solve().shape == (0,)
+    assert equations.pivot_ratio() == 1
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

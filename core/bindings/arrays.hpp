@@ -1,4 +1,4 @@
-// NumPy arrays in and out of the core.
+// NumPy arrays as arguments and results of the core.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -26,7 +26,7 @@ using Stack = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::c
 template <class T>
 using Array = nb::ndarray<nb::numpy, T>;
 
-// Hands the vector's memory to NumPy.
+// An array that owns the memory of the vector.
 template <class T>
 Array<T> as_array(std::vector<T>&& values, std::initializer_list<std::size_t> shape) {
   auto* const owned = new std::vector<T>(std::move(values));
@@ -48,14 +48,14 @@ std::span<const T> span_of(const Vector<T>& v) {
   return {v.data(), v.shape(0)};
 }
 
-// Calls f with a null pointer of the group whose poses have that many numbers.
+// Calls f with a null pointer to the group whose poses have that many numbers.
 template <class F>
 auto with_group(std::size_t pose_size, F f) {
   require(pose_size == SE2::kSize || pose_size == SE3::kSize, "poses have 3 or 7 numbers");
   return pose_size == SE2::kSize ? f(static_cast<SE2*>(nullptr)) : f(static_cast<SE3*>(nullptr));
 }
 
-// A copy of `poses`, changed by `place(group, out)` without the interpreter lock.
+// A copy of `poses` that `place(group, out)` has changed without the interpreter lock.
 template <class F>
 Array<double> placed(const Table<double>& poses, F place) {
   std::vector<double> out(poses.data(), poses.data() + poses.size());

@@ -1,4 +1,4 @@
-// What the files of this folder share: a function a topic, and the checks of more than one.
+// What the files of this folder share: one function that binds each topic, and common checks.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -15,7 +15,7 @@ namespace masat {
 class GraphMatrix;
 class Topology;
 
-// Types are bound before their use: the order is module.cpp's.
+// A type must be bound before its first use, so module.cpp calls these in order.
 void bind_lie(nb::module_& m);
 void bind_graph(nb::module_& m);
 void bind_systems(nb::module_& m);
@@ -27,14 +27,14 @@ void check_poses(const Topology& graph, const Table<double>& measurements,
                  const Table<double>& poses);
 void check_rows(const GraphMatrix& matrix, const Stack& v);
 
-// Blocks of the inverse of what a system of d rows a node factorized, by places among its nodes.
+// Blocks of the inverse of a factorized system of d rows a node, by indices among its nodes.
 template <class System>
 Array<double> blocks_of_inverse(const System& system, std::int32_t nodes, std::size_t d,
                                 const Vector<std::int32_t>& rows,
                                 const Vector<std::int32_t>& columns) {
   require(rows.shape(0) == columns.shape(0), "as many rows as columns");
-  for (const auto& places : {span_of(rows), span_of(columns)}) {
-    for (const std::int32_t k : places) require(k >= 0 && k < nodes, "block out of range");
+  for (const auto& indices : {span_of(rows), span_of(columns)}) {
+    for (const std::int32_t k : indices) require(k >= 0 && k < nodes, "block out of range");
   }
   std::vector<double> out(rows.shape(0) * d * d);
   {

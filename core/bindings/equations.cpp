@@ -140,6 +140,7 @@ void bind_equations(nb::module_& m) {
             return e.factorize(span_of(damping));
           },
           "damping"_a)
+      .def("pivot_ratio", &NormalEquations::pivot_ratio)
       .def("solve", &step_of)
       .def(
           "inverse",

@@ -1,4 +1,4 @@
-// Linear systems over the graph: analysis, factorization, and the translations they settle.
+// Linear systems over the graph: elimination, factorization, and translations at fixed rotations.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/unique_ptr.h>
@@ -32,23 +32,23 @@ using namespace nb::literals;
 
 using AnyArray = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 
-std::shared_ptr<Elimination> make_elimination(const Topology& graph, const Vector<bool>& held,
+std::shared_ptr<Elimination> make_elimination(const Topology& graph, const Vector<bool>& fixed,
                                               const Vector<std::int32_t>& order) {
-  require(held.shape(0) == static_cast<std::size_t>(graph.nodes()), "one flag a node");
+  require(fixed.shape(0) == static_cast<std::size_t>(graph.nodes()), "one flag a node");
   std::vector<bool> seen(order.shape(0));
   for (const std::int32_t k : span_of(order)) {
     require(k >= 0 && static_cast<std::size_t>(k) < seen.size() && !seen[k],
             "the order must be a permutation");
     seen[k] = true;
   }
-  const auto free = std::count(held.data(), held.data() + held.shape(0), false);
+  const auto free = std::count(fixed.data(), fixed.data() + fixed.shape(0), false);
   require(seen.empty() || static_cast<std::ptrdiff_t>(seen.size()) == free,
           "the order must name each free node once");
   nb::gil_scoped_release release;
-  return std::make_shared<Elimination>(graph, span_of(held), span_of(order));
+  return std::make_shared<Elimination>(graph, span_of(fixed), span_of(order));
 }
 
-// Compressed rows: the neighbors of each free node, by their places.
+// The neighbors of each free node as compressed rows, by indices among the free nodes.
 nb::tuple adjacency_of(const Elimination& elimination) {
   std::vector<std::int64_t> start{0};
   std::vector<std::int32_t> neighbors;
@@ -61,11 +61,10 @@ nb::tuple adjacency_of(const Elimination& elimination) {
   return nb::make_tuple(as_array(std::move(start)), as_array(std::move(neighbors)));
 }
 
-std::unique_ptr<GraphMatrix> make_matrix(std::shared_ptr<Elimination> elimination, int block_size,
-                                         int threads) {
+std::unique_ptr<GraphMatrix> make_matrix(std::shared_ptr<Elimination> elimination, int block_size) {
   require(block_size >= 1 && block_size <= kLargestBlock, "blocks have 1 to 10 rows");
   nb::gil_scoped_release release;
-  return std::make_unique<GraphMatrix>(std::move(elimination), block_size, threads);
+  return std::make_unique<GraphMatrix>(std::move(elimination), block_size);
 }
 
 void check_graph(const GraphMatrix& matrix, const Topology& graph) {
@@ -90,17 +89,17 @@ Array<double> assembled(GraphMatrix& matrix, const Topology& graph, const Stack&
         "the blocks of the edges must be (m, d, d)");
   }
   check_values(matrix, graph, values);
-  std::vector<double> forcing(matrix.rows() * columns);
+  std::vector<double> rhs(matrix.rows() * columns);
   {
     nb::gil_scoped_release release;
     matrix.set_zero();
     for (std::size_t k = 0; k < graph.edges().size(); ++k) {
       const std::size_t at = k * d * d;
       matrix.add_edge(graph, static_cast<std::int64_t>(k), first.data() + at, joint.data() + at,
-                      second.data() + at, values.data(), static_cast<int>(columns), forcing.data());
+                      second.data() + at, values.data(), static_cast<int>(columns), rhs.data());
     }
   }
-  return as_array(std::move(forcing), {matrix.rows() / d, d, columns});
+  return as_array(std::move(rhs), {matrix.rows() / d, d, columns});
 }
 
 Array<double> assembled_poses(GraphMatrix& matrix, const Topology& graph,
@@ -115,40 +114,41 @@ Array<double> assembled_poses(GraphMatrix& matrix, const Topology& graph,
       matrices ? rotation.shape(1) + 1 == d && rotation.shape(2) + 1 == d : rotation.ndim() == 1,
       "the rotations' weights must be (m,) or (m, d, d)");
   check_values(matrix, graph, values);
-  std::vector<double> forcing(matrix.rows() * columns);
+  std::vector<double> rhs(matrix.rows() * columns);
   {
     nb::gil_scoped_release release;
     with_group(measurements.shape(1), [&]<class Group>(Group*) {
       require(d == Group::kDimension + 1, "blocks must have d + 1 rows");
       assemble_pose_form<Group>(matrix, graph, measurements.data(), {rotation.data(), matrices},
                                 translation.data(), values.data(), static_cast<int>(columns),
-                                forcing.data());
+                                rhs.data());
     });
   }
-  return as_array(std::move(forcing), {matrix.rows() / d, d, columns});
+  return as_array(std::move(rhs), {matrix.rows() / d, d, columns});
 }
 
 // The poses, and -1 or the node whose translation is not determined.
-nb::tuple settled(const Topology& graph, GraphMatrix& matrix, const Table<double>& measurements,
-                  const Stack& information, const Table<double>& poses) {
+nb::tuple solved_translations(const Topology& graph, GraphMatrix& matrix,
+                              const Table<double>& measurements, const Stack& information,
+                              const Table<double>& poses) {
   check_poses(graph, measurements, poses);
   check_graph(matrix, graph);
-  std::int32_t broken = -1;
+  std::int32_t failed = -1;
   auto out = placed(poses, [&]<class Group>(Group*, double* p) {
     require(matrix.block_size() == Group::kDimension, "blocks must have a row a coordinate");
     require(information.shape(0) == graph.edges().size() && information.shape(1) == Group::kDof &&
                 information.shape(2) == Group::kDof,
             "information must be (m, d, d)");
-    broken = solve_translations<Group>(graph, matrix, measurements.data(), information.data(), p);
+    failed = solve_translations<Group>(graph, matrix, measurements.data(), information.data(), p);
   });
-  return nb::make_tuple(out, broken);
+  return nb::make_tuple(out, failed);
 }
 
 }  // namespace
 
 void bind_systems(nb::module_& m) {
   nb::class_<Elimination>(m, "Elimination")
-      .def(nb::new_(&make_elimination), "topology"_a, "held"_a, "order"_a)
+      .def(nb::new_(&make_elimination), "topology"_a, "fixed"_a, "order"_a)
       .def("free_nodes",
            [](const Elimination& e) {
              return as_array(
@@ -159,7 +159,7 @@ void bind_systems(nb::module_& m) {
       .def("operations", &Elimination::operations, "block_size"_a);
 
   nb::class_<GraphMatrix>(m, "GraphMatrix")
-      .def(nb::new_(&make_matrix), "elimination"_a, "block_size"_a, "threads"_a = 1)
+      .def(nb::new_(&make_matrix), "elimination"_a, "block_size"_a)
       .def("assemble", &assembled, "topology"_a, "first"_a, "joint"_a, "second"_a, "values"_a)
       .def("assemble_poses", &assembled_poses, "topology"_a, "measurements"_a, "rotation"_a,
            "translation"_a, "values"_a)
@@ -172,10 +172,10 @@ void bind_systems(nb::module_& m) {
             return matrix.factorize(span_of(damping));
           },
           "damping"_a)
+      .def("pivot_ratio", &GraphMatrix::pivot_ratio)
       .def(
           "solve",
           [](const GraphMatrix& matrix, const Stack& rhs) {
-            require(matrix.factorized(), "factorize before solving");
             check_rows(matrix, rhs);
             std::vector<double> out(rhs.data(), rhs.data() + rhs.size());
             {
@@ -189,14 +189,13 @@ void bind_systems(nb::module_& m) {
           "inverse",
           [](const GraphMatrix& matrix, const Vector<std::int32_t>& rows,
              const Vector<std::int32_t>& columns) {
-            require(matrix.factorized(), "factorize before inverting");
             return blocks_of_inverse(matrix, matrix.pattern().columns(), matrix.block_size(), rows,
                                      columns);
           },
           "rows"_a, "columns"_a);
 
-  m.def("solve_translations", &settled, "topology"_a, "matrix"_a, "measurements"_a, "information"_a,
-        "poses"_a);
+  m.def("solve_translations", &solved_translations, "topology"_a, "matrix"_a, "measurements"_a,
+        "information"_a, "poses"_a);
 }
 
 }  // namespace masat

@@ -3,26 +3,37 @@
 #include <algorithm>
 #include <array>
 
-// Wider vector units where the processor has them. Without fused multiply-add, so that all of them
-// round alike.
-#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__SANITIZE_ADDRESS__)
-#define MASAT_VECTOR_CLONES __attribute__((target_clones("avx2", "default")))
-#else
-#define MASAT_VECTOR_CLONES
-#endif
-
 namespace masat {
 namespace {
 
-constexpr std::int64_t kChunk = 64;
+constexpr std::int64_t kChunk = 64;  // angles computed at once
 using Chunk = std::array<double, kChunk>;
 
-MASAT_VECTOR_CLONES void sincos_chunk(const Chunk& x, Chunk& sine, Chunk& cosine) {
+[[gnu::always_inline]] inline void compute_chunk(const Chunk& x, Chunk& sine, Chunk& cosine) {
   for (std::int64_t k = 0; k < kChunk; ++k) {
     const SinCos r = sincos_reducible(x[k]);
     sine[k] = r.sin;
     cosine[k] = r.cos;
   }
+}
+
+void compute_portable(const Chunk& x, Chunk& sine, Chunk& cosine) {
+  compute_chunk(x, sine, cosine);
+}
+
+#ifdef __x86_64__
+// Without fused multiply-add, so that all processors round alike.
+[[gnu::target("avx2")]] void compute_avx2(const Chunk& x, Chunk& sine, Chunk& cosine) {
+  compute_chunk(x, sine, cosine);
+}
+#endif
+
+void sincos_chunk(const Chunk& x, Chunk& sine, Chunk& cosine) {
+#ifdef __x86_64__
+  static const bool has_avx2 = __builtin_cpu_supports("avx2");
+  if (has_avx2) return compute_avx2(x, sine, cosine);
+#endif
+  compute_portable(x, sine, cosine);
 }
 
 }  // namespace

@@ -32,7 +32,9 @@ class NormalEquations {
   virtual void diagonal(double* out) const = 0;
   virtual void multiply(const double* v, double* out) const = 0;  // H v
   // Factorizes H plus a diagonal; returns -1, or the node at which it is not positive definite.
-  virtual std::int32_t factorize(std::span<const double> damping) = 0;
+  [[nodiscard]] virtual std::int32_t factorize(std::span<const double> damping) = 0;
+  // The smallest ratio of a pivot to its diagonal entry of H plus the damping; 1 without unknowns.
+  virtual double pivot_ratio() const = 0;
   virtual void solve(double* step) const = 0;
   // Blocks of the inverse of what was factorized, by places among the free nodes, each row-major.
   virtual void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
@@ -121,10 +123,12 @@ class NormalEquationsOf final : public NormalEquations {
   void diagonal(double* out) const override { matrix_.diagonal(out); }
   void multiply(const double* v, double* out) const override { matrix_.multiply(v, 1, out); }
 
-  std::int32_t factorize(std::span<const double> damping) override {
-    const std::int32_t broken = matrix_.factorize(damping);
-    return broken < 0 ? -1 : free_nodes()[broken];
+  [[nodiscard]] std::int32_t factorize(std::span<const double> damping) override {
+    const std::int32_t failed = matrix_.factorize(damping);
+    return failed < 0 ? -1 : free_nodes()[failed];
   }
+
+  double pivot_ratio() const override { return matrix_.pivot_ratio(); }
 
   void solve(double* step) const override {
     std::copy(rhs_.begin(), rhs_.end(), step);

@@ -3,7 +3,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <cstdlib>
 #include <memory>
 #include <new>
 #ifdef __linux__
@@ -20,8 +19,8 @@ class AlignedBuffer {
     const std::size_t bytes = static_cast<std::size_t>(doubles) * sizeof(double);
     const std::size_t alignment = bytes >= kHugePage ? kHugePage : kLine;
     const std::size_t whole = (bytes + alignment) / alignment * alignment;
-    data_.reset(static_cast<double*>(std::aligned_alloc(alignment, whole)));
-    if (!data_) throw std::bad_alloc();
+    data_ = {static_cast<double*>(::operator new(whole, std::align_val_t{alignment})),
+             Free{std::align_val_t{alignment}}};
 #ifdef __linux__
     if (alignment == kHugePage) madvise(data_.get(), whole, MADV_HUGEPAGE);
 #endif
@@ -30,7 +29,8 @@ class AlignedBuffer {
 
  private:
   struct Free {
-    void operator()(double* p) const { std::free(p); }
+    std::align_val_t alignment;
+    void operator()(double* p) const { ::operator delete(p, alignment); }
   };
   std::unique_ptr<double, Free> data_;
 };

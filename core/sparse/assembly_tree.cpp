@@ -9,8 +9,8 @@
 namespace masat {
 namespace {
 
-// Nodes by front, those of a front in the order of the elimination tree.
-void place_nodes(const EliminationTree& tree, std::span<const std::int32_t> front_of,
+// Sorts the nodes by front, those of a front in the order of the elimination tree.
+void order_nodes(const EliminationTree& tree, std::span<const std::int32_t> front_of,
                  AssemblyTree& out) {
   const auto n = static_cast<std::int32_t>(front_of.size());
   out.first.assign(out.parent.size() + 1, 0);
@@ -18,10 +18,10 @@ void place_nodes(const EliminationTree& tree, std::span<const std::int32_t> fron
   std::partial_sum(out.first.begin(), out.first.end(), out.first.begin());
   out.order.resize(n);
   for (std::int32_t k = n - 1; k >= 0; --k) out.order[--out.first[front_of[k]]] = tree.order[k];
-  out.place = invert(out.order);
+  out.index = invert(out.order);
 }
 
-// A front's rows: those of its columns in the matrix and of its children.
+// The rows of a front: those of its columns in the matrix and those of its children.
 void find_rows(const BlockGraph& graph, AssemblyTree& out) {
   const Children children(out.parent);
   std::vector<std::int32_t> seen(out.order.size(), -1);
@@ -35,7 +35,7 @@ void find_rows(const BlockGraph& graph, AssemblyTree& out) {
       out.row.push_back(row);
     };
     for (std::int32_t k = out.first[f]; k < end; ++k) {
-      for (const BlockGraph::Neighbor& i : graph.neighbors(out.order[k])) add(out.place[i.node]);
+      for (const BlockGraph::Neighbor& i : graph.neighbors(out.order[k])) add(out.index[i.node]);
     }
     for (const std::int32_t c : children.of(f)) {
       for (std::int64_t k = out.row_start[c]; k < out.row_start[c + 1]; ++k) add(out.row[k]);
@@ -58,7 +58,7 @@ AssemblyTree build_assembly_tree(const BlockGraph& graph, const EliminationTree&
   }
   std::vector<std::int32_t> front_of(supernodes.of_node.size());
   for (std::size_t k = 0; k < front_of.size(); ++k) front_of[k] = front[supernodes.of_node[k]];
-  place_nodes(tree, front_of, out);
+  order_nodes(tree, front_of, out);
   find_rows(graph, out);
   return out;
 }

@@ -13,11 +13,11 @@
 namespace masat {
 
 // Front f eliminates the nodes order[first[f]], ..., order[first[f + 1] - 1] and updates the rows
-// below them. Fronts are postordered; rows are places in `order`, ascending.
+// below them. Fronts are postordered; rows are indices into `order`, ascending.
 struct AssemblyTree {
-  std::vector<std::int32_t> order, place;
-  std::vector<std::int32_t> first;   // of each front, and the end
-  std::vector<std::int32_t> parent;  // -1 at a root
+  std::vector<std::int32_t> order, index;  // the nodes by index, and the inverse
+  std::vector<std::int32_t> first;         // of each front, and the end
+  std::vector<std::int32_t> parent;        // -1 at a root
   std::vector<std::int64_t> row_start;
   std::vector<std::int32_t> row;
 

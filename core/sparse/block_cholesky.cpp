@@ -17,36 +17,49 @@ struct BlockCholesky::Impl {
   const FrontLayout& layout;
   Multifrontal factor;
   std::vector<double> permuted;
+  bool factorized = false;
+
+  const Multifrontal& checked() const {
+    if (!factorized) throw NotFactorized();
+    return factor;
+  }
 };
 
 BlockCholesky::BlockCholesky(const Elimination& elimination, int block_size, int threads) {
-  impl_ = std::make_unique<Impl>(elimination, block_size, std::max(threads, 1));
+  impl_ = std::make_unique<Impl>(elimination, block_size, threads);
 }
 BlockCholesky::~BlockCholesky() = default;
 
 std::int32_t BlockCholesky::factorize(std::span<const double> values,
                                       std::span<const double> damping) {
-  const std::int32_t broken = impl_->factor.factorize(values, damping);
-  return broken < 0 ? -1 : impl_->layout.tree().order[broken];
+  impl_->factorized = false;
+  const std::int32_t failed = impl_->factor.factorize(values, damping);
+  impl_->factorized = failed < 0;
+  return failed < 0 ? -1 : impl_->layout.tree().order[failed];
 }
 
 std::vector<std::int32_t> BlockCholesky::indefinite(std::span<const double> values,
                                                     std::vector<double> damping,
-                                                    std::span<const double> held) {
-  std::vector<char> broken(impl_->layout.tree().order.size());
-  impl_->factor.factorize(values, damping, held, broken);
+                                                    std::span<const double> fixing) {
+  impl_->factorized = false;
+  const std::vector<char> fixed = impl_->factor.fix_failing(values, damping, fixing);
   std::vector<std::int32_t> nodes;
-  for (std::size_t k = 0; k < broken.size(); ++k) {
-    if (broken[k]) nodes.push_back(static_cast<std::int32_t>(k));
+  for (std::size_t k = 0; k < fixed.size(); ++k) {
+    if (fixed[k]) nodes.push_back(static_cast<std::int32_t>(k));
   }
   return nodes;
 }
 
+bool BlockCholesky::factorized() const { return impl_->factorized; }
+
+double BlockCholesky::pivot_ratio() const { return impl_->checked().pivot_ratio(); }
+
 void BlockCholesky::solve(std::span<double> rhs, int columns) const {
+  const Multifrontal& factor = impl_->checked();
   const std::vector<std::int32_t>& order = impl_->layout.tree().order;
   std::vector<double>& permuted = impl_->permuted;
   const int d = impl_->layout.block_size(), width = columns == 1 ? 1 : kernels().width;
-  // Groups of `width` columns, zeros making up the last.
+  // Groups of `width` columns; the last group is filled up with zeros.
   permuted.resize(order.size() * d * ((columns + width - 1) / width * width));
   if (columns % width != 0) std::fill(permuted.begin(), permuted.end(), 0.0);
   const auto exchange = [&](auto copy) {
@@ -62,13 +75,13 @@ void BlockCholesky::solve(std::span<double> rhs, int columns) const {
     }
   };
   exchange([](double& own, double& packed) { packed = own; });
-  impl_->factor.solve(permuted, width);
+  factor.solve(permuted, width);
   exchange([](double& own, double& packed) { own = packed; });
 }
 
 void BlockCholesky::inverse(std::span<const std::int32_t> rows,
                             std::span<const std::int32_t> columns, double* out) const {
-  invert_blocks(impl_->layout, impl_->factor, rows, columns, out);
+  invert_blocks(impl_->layout, impl_->checked(), rows, columns, out);
 }
 
 }  // namespace masat

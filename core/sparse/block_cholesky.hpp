@@ -4,31 +4,49 @@
 #include <cstdint>
 #include <memory>
 #include <span>
+#include <stdexcept>
 #include <vector>
 
 #include "sparse/elimination.hpp"
 
 namespace masat {
 
+// Thrown by solve and inverse.
+struct NotFactorized : std::logic_error {
+  NotFactorized()
+      : logic_error(
+            "the matrix is not factorized: call factorize() before solve() or inverse(), and check "
+            "that it returned -1") {}
+};
+
 class BlockCholesky {
  public:
   // Blocks have 1 to 10 rows. Results do not depend on the number of threads. The elimination must
-  // outlive it.
+  // outlive this object.
   BlockCholesky(const Elimination& elimination, int block_size, int threads = 1);
   ~BlockCholesky();
 
-  // Factorizes the matrix with the blocks `values`, each column-major, in the order of the
-  // pattern, plus the diagonal `damping`. Every entry counts, zeros too: the pattern never
-  // changes. Returns -1, or the block at which the matrix is not positive definite.
-  std::int32_t factorize(std::span<const double> values, std::span<const double> damping);
+  // Factorizes the matrix with the blocks `values`, each column-major, in the order of the pattern,
+  // plus the diagonal `damping`. Zeros are entries like others: the pattern never changes. Returns
+  // -1, or the block at which the matrix is not positive definite. An exception, such as that of an
+  // interrupt, leaves no factorization.
+  [[nodiscard]] std::int32_t factorize(std::span<const double> values,
+                                       std::span<const double> damping);
 
-  // Where the matrix is not positive definite: nodes that, with `held` instead of their damping,
-  // let it be so, ascending.
+  // Nodes, ascending, at which the matrix is not positive definite: with `fixing` instead of their
+  // damping it becomes so. Leaves no factorization.
   std::vector<std::int32_t> indefinite(std::span<const double> values, std::vector<double> damping,
-                                       std::span<const double> held);
+                                       std::span<const double> fixing);
 
-  // Overwrites the right-hand sides, the columns of a row-major matrix, with the solutions. One
-  // thread at a time.
+  // Whether the last factorization succeeded.
+  bool factorized() const;
+
+  // The smallest ratio of a pivot to its diagonal entry before the elimination, damping included;
+  // 1 without rows. An estimate of the reciprocal condition number of the scaled matrix.
+  double pivot_ratio() const;
+
+  // Overwrites the right-hand sides, the columns of a row-major matrix, with the solutions. Only
+  // one thread may call this at a time.
   void solve(std::span<double> rhs, int columns = 1) const;
 
   // Writes the blocks of the inverse at (rows[k], columns[k]), each row-major.

@@ -13,7 +13,8 @@ BlockGraph::BlockGraph(const BlockPattern& pattern) : start_(pattern.columns() +
   };
   for_each([&](std::int32_t c, std::int32_t r, std::int32_t) { ++start_[c], ++start_[r]; });
   std::int64_t sum = 0;
-  for (std::int64_t& s : start_) sum += s, s = sum;  // ends, that the fill moves to the starts
+  for (std::int64_t& s : start_)
+    sum += s, s = sum;  // ends, which the loop below moves to the starts
   neighbor_.resize(sum);
   for_each([&](std::int32_t c, std::int32_t r, std::int32_t k) {
     neighbor_[--start_[c]] = {r, k};

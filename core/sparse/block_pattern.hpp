@@ -20,7 +20,7 @@ class BlockGraph {
  public:
   struct Neighbor {
     std::int32_t node;
-    std::int32_t entry;  // the block's place in the pattern
+    std::int32_t entry;  // index of the block in the pattern
   };
 
   explicit BlockGraph(const BlockPattern& pattern);

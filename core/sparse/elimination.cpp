@@ -8,20 +8,20 @@
 namespace masat {
 namespace {
 
-std::vector<std::int32_t> free_of(std::span<const bool> held) {
+std::vector<std::int32_t> free_of(std::span<const bool> fixed) {
   std::vector<std::int32_t> free;
-  for (std::size_t node = 0; node < held.size(); ++node) {
-    if (!held[node]) free.push_back(static_cast<std::int32_t>(node));
+  for (std::size_t node = 0; node < fixed.size(); ++node) {
+    if (!fixed[node]) free.push_back(static_cast<std::int32_t>(node));
   }
   return free;
 }
 
 }  // namespace
 
-Elimination::Elimination(const Topology& graph, std::span<const bool> held,
+Elimination::Elimination(const Topology& graph, std::span<const bool> fixed,
                          std::span<const std::int32_t> order)
-    : free_(free_of(held)),
-      place_(graph.nodes(), -1),
+    : free_(free_of(fixed)),
+      index_(graph.nodes(), -1),
       joint_(graph.edges().size(), -1),
       pattern_(find_pattern(graph)),
       adjacency_(pattern_),
@@ -30,11 +30,11 @@ Elimination::Elimination(const Topology& graph, std::span<const bool> held,
 
 BlockPattern Elimination::find_pattern(const Topology& graph) {
   const auto columns = static_cast<std::int32_t>(free_.size());
-  for (std::int32_t c = 0; c < columns; ++c) place_[free_[c]] = c;
+  for (std::int32_t c = 0; c < columns; ++c) index_[free_[c]] = c;
   BlockPattern pattern;
   pattern.start.reserve(columns + 1);
   pattern.row.reserve(columns + joint_.size());
-  std::vector<std::int64_t> slot(columns, -1);  // of each row, in the column at work
+  std::vector<std::int64_t> slot(columns, -1);  // of each row, in the current column
   std::vector<std::int32_t> rows;
   for (std::int32_t c = 0; c < columns; ++c) {
     const auto begin = static_cast<std::int64_t>(pattern.row.size());
@@ -42,7 +42,7 @@ BlockPattern Elimination::find_pattern(const Topology& graph) {
     pattern.row.push_back(c);
     rows.clear();
     for (const Incidence& i : graph.incident(free_[c])) {
-      const std::int32_t r = place_[i.node];
+      const std::int32_t r = index_[i.node];
       if (r > c && slot[r] < begin) {
         slot[r] = begin;
         rows.push_back(r);
@@ -54,7 +54,7 @@ BlockPattern Elimination::find_pattern(const Topology& graph) {
     }
     pattern.row.insert(pattern.row.end(), rows.begin(), rows.end());
     for (const Incidence& i : graph.incident(free_[c])) {
-      const std::int32_t r = place_[i.node];
+      const std::int32_t r = index_[i.node];
       if (r > c) joint_[i.edge < 0 ? ~i.edge : i.edge] = slot[r];
     }
   }
@@ -63,7 +63,7 @@ BlockPattern Elimination::find_pattern(const Topology& graph) {
 }
 
 const FrontLayout& Elimination::layout(int d) const {
-  if (d < 1 || d > kLargestBlock) throw std::invalid_argument("blocks are of 1 to 10 rows");
+  if (d < 1 || d > kLargestBlock) throw std::invalid_argument("blocks have 1 to 10 rows");
   const std::lock_guard<std::mutex> lock(mutex_);
   std::unique_ptr<FrontLayout>& layout = layouts_[d - 1];
   if (!layout) {

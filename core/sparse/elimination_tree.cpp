@@ -10,12 +10,12 @@ namespace {
 
 // Liu, "A compact row storage scheme for Cholesky factors using elimination trees", TOMS 1986.
 std::vector<std::int32_t> find_parents(const BlockGraph& graph, std::span<const std::int32_t> order,
-                                       std::span<const std::int32_t> place) {
+                                       std::span<const std::int32_t> index) {
   const std::int32_t n = graph.nodes();
   std::vector<std::int32_t> parent(n, -1), ancestor(n, -1);
   for (std::int32_t k = 0; k < n; ++k) {
     for (const BlockGraph::Neighbor& neighbor : graph.neighbors(order[k])) {
-      std::int32_t i = place[neighbor.node];
+      std::int32_t i = index[neighbor.node];
       if (i > k) continue;
       while (ancestor[i] >= 0 && ancestor[i] != k) i = std::exchange(ancestor[i], k);
       if (ancestor[i] < 0) ancestor[i] = parent[i] = k;
@@ -39,9 +39,10 @@ std::vector<std::int32_t> count_columns(const BlockGraph& graph, const Eliminati
       --count[parent];
     }
     for (const BlockGraph::Neighbor& neighbor : graph.neighbors(tree.order[k])) {
-      const std::int32_t row = tree.place[neighbor.node];
+      const std::int32_t row = tree.index[neighbor.node];
       if (row < k || first[k] <= last_first[row]) continue;
-      // A leaf of the row's subtree; it overlaps with the leaf before up to their meeting.
+      // A leaf of the row's subtree. Its path to the root joins that of the leaf before at
+      // `meeting`.
       last_first[row] = first[k];
       ++count[k];
       std::int32_t meeting = std::exchange(last_leaf[row], k);
@@ -66,15 +67,15 @@ EliminationTree find_elimination_tree(const BlockGraph& graph,
                                       std::span<const std::int32_t> order) {
   const std::int32_t n = graph.nodes();
   EliminationTree tree;
-  tree.place = invert(order);
-  const std::vector<std::int32_t> parent = find_parents(graph, order, tree.place);
+  tree.index = invert(order);
+  const std::vector<std::int32_t> parent = find_parents(graph, order, tree.index);
   const std::vector<std::int32_t> post = postorder(parent);
   const std::vector<std::int32_t> renumbered = invert(post);
   tree.order.resize(n);
   tree.parent.resize(n);
   for (std::int32_t k = 0; k < n; ++k) {
     tree.order[k] = order[post[k]];
-    tree.place[tree.order[k]] = k;
+    tree.index[tree.order[k]] = k;
     tree.parent[k] = parent[post[k]] < 0 ? -1 : renumbered[parent[post[k]]];
   }
   tree.count = count_columns(graph, tree);

@@ -11,9 +11,9 @@ namespace masat {
 
 struct EliminationTree {
   std::vector<std::int32_t> order;   // the node eliminated k-th: a postorder of the tree
-  std::vector<std::int32_t> place;   // the inverse of `order`
-  std::vector<std::int32_t> parent;  // by place; -1 at a root
-  std::vector<std::int32_t> count;   // blocks in each column of the factor, the diagonal too
+  std::vector<std::int32_t> index;   // the inverse of `order`
+  std::vector<std::int32_t> parent;  // by index; -1 at a root
+  std::vector<std::int32_t> count;   // blocks in each column of the factor, with the diagonal one
 };
 
 // `order` may be any elimination order. It is replaced by the equivalent postorder.

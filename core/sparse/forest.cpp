@@ -5,9 +5,9 @@
 namespace masat {
 
 std::vector<std::int32_t> invert(std::span<const std::int32_t> order) {
-  std::vector<std::int32_t> place(order.size());
-  for (std::size_t k = 0; k < order.size(); ++k) place[order[k]] = static_cast<std::int32_t>(k);
-  return place;
+  std::vector<std::int32_t> index(order.size());
+  for (std::size_t k = 0; k < order.size(); ++k) index[order[k]] = static_cast<std::int32_t>(k);
+  return index;
 }
 
 std::vector<std::int32_t> postorder(std::span<const std::int32_t> parent) {
@@ -16,8 +16,8 @@ std::vector<std::int32_t> postorder(std::span<const std::int32_t> parent) {
   for (std::int32_t k = 0; k < n; ++k) {
     if (parent[k] >= 0) size[parent[k]] += size[k];
   }
-  // Parents come after their children: from the last node on, each takes its subtree's last free
-  // places.
+  // Parents come after their children. From the last node on, each takes the last position that is
+  // free in the range of its subtree.
   std::int32_t free = n;
   for (std::int32_t k = n - 1; k >= 0; --k) {
     std::int32_t& last = parent[k] < 0 ? free : end[parent[k]];

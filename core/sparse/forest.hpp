@@ -9,8 +9,8 @@ namespace masat {
 
 std::vector<std::int32_t> invert(std::span<const std::int32_t> permutation);
 
-// The nodes of a forest, each subtree in a row and its root last. Parents have greater numbers than
-// their children; roots have parent -1.
+// The nodes of a forest, those of each subtree side by side and its root last. Parents have greater
+// numbers than their children; roots have parent -1.
 std::vector<std::int32_t> postorder(std::span<const std::int32_t> parent);
 
 // The children of each node, ascending.

@@ -3,8 +3,8 @@
 namespace masat {
 namespace {
 
-// Whole vectors; in long columns an odd number of cache lines, lest the columns of a tile share the
-// sets of the cache.
+// Whole vectors. Long columns take an odd number of cache lines, so that the columns of a tile do
+// not compete for the same sets of the cache.
 std::int64_t leading_dimension(std::int64_t rows, int lanes) {
   const std::int64_t padded = (rows + lanes - 1) / lanes * lanes;
   return padded >= 64 && padded % 16 == 0 ? padded + 8 : padded;
@@ -17,12 +17,12 @@ FrontLayout::FrontLayout(const BlockPattern& pattern, const BlockGraph& graph,
     : block_size_(block_size),
       tree_(build_assembly_tree(graph, tree, block_size)),
       children_(tree_.parent) {
-  place_fronts(lanes);
+  lay_out_fronts(lanes);
   find_runs();
-  place_entries(pattern, graph);
+  lay_out_entries(pattern, graph);
 }
 
-void FrontLayout::place_fronts(int lanes) {
+void FrontLayout::lay_out_fronts(int lanes) {
   factor_start_.assign(1, 0);
   for (std::int32_t f = 0; f < fronts(); ++f) {
     FrontShape shape;
@@ -65,9 +65,9 @@ void FrontLayout::find_runs() {
   }
 }
 
-void FrontLayout::place_entries(const BlockPattern& pattern, const BlockGraph& graph) {
+void FrontLayout::lay_out_entries(const BlockPattern& pattern, const BlockGraph& graph) {
   const std::int32_t n = pattern.columns();
-  std::vector<std::int32_t> row_of(n);  // of a place, in the front at work
+  std::vector<std::int32_t> row_of(n);  // of each index, in the current front
   entry_start_.assign(1, 0);
   entries_.reserve(pattern.row.size());
   for (std::int32_t f = 0; f < fronts(); ++f) {
@@ -81,7 +81,7 @@ void FrontLayout::place_entries(const BlockPattern& pattern, const BlockGraph& g
       entries_.push_back({start + pivot * (front.ld11 + 1),
                           static_cast<std::int32_t>(pattern.start[node]), false, false});
       for (const BlockGraph::Neighbor& neighbor : graph.neighbors(node)) {
-        const std::int32_t row = tree_.place[neighbor.node];
+        const std::int32_t row = tree_.index[neighbor.node];
         if (row < k) continue;
         const bool eliminated = row < tree_.first[f + 1];
         const std::int64_t target =

@@ -1,5 +1,5 @@
-// Where everything of a multifrontal factorization lies: the factor, the matrix's blocks in it, and
-// the children in their parents.
+// The positions of everything in a multifrontal factorization: the fronts in the factor, the blocks
+// of the matrix in the fronts, and the children in their parents.
 #pragma once
 
 #include <cstdint>
@@ -15,8 +15,8 @@ namespace masat {
 
 // A block of the matrix below or on the diagonal of the factor.
 struct BlockEntry {
-  std::int64_t target;  // of its first scalar, in the factor
-  std::int32_t source;  // in the pattern
+  std::int64_t target;  // index of its first scalar in the factor
+  std::int32_t source;  // index in the pattern
   bool below;           // in l21, else in l11
   bool transposed;
 };
@@ -30,32 +30,32 @@ class FrontLayout {
   int block_size() const { return block_size_; }
   std::int32_t fronts() const { return tree_.fronts(); }
   const FrontShape& shape(std::int32_t f) const { return shape_[f]; }
-  // Place in the eliminated vector of a front's first pivot.
+  // Index of a front's first pivot in a vector in the elimination order.
   std::int64_t first(std::int32_t f) const { return std::int64_t{tree_.first[f]} * block_size_; }
 
   std::int64_t factor_size() const { return factor_start_.back(); }
   std::int64_t contribution_size(std::int32_t f) const { return shape_[f].ld21 * shape_[f].rows; }
-  // A front over the factor's values.
+  // A front of which `factor` and `contribution` hold the values.
   Front front(std::int32_t f, double* factor, double* contribution = nullptr) const {
     double* const l11 = factor + factor_start_[f];
     return {shape_[f], l11, l11 + l11_size(f), contribution};
   }
 
   std::span<const std::int32_t> children(std::int32_t f) const { return children_.of(f); }
-  // A front's rows in its parent.
+  // The positions of a front's rows in its parent.
   std::span<const Run> runs(std::int32_t f) const {
     return {runs_.data() + run_start_[f], runs_.data() + run_start_[f + 1]};
   }
-  // The blocks of the matrix in the columns of a place in the elimination order.
-  std::span<const BlockEntry> entries(std::int32_t place) const {
-    return {entries_.data() + entry_start_[place], entries_.data() + entry_start_[place + 1]};
+  // The blocks of the matrix in the columns of an index in the elimination order.
+  std::span<const BlockEntry> entries(std::int32_t index) const {
+    return {entries_.data() + entry_start_[index], entries_.data() + entry_start_[index + 1]};
   }
 
  private:
   std::int64_t l11_size(std::int32_t f) const { return shape_[f].ld11 * shape_[f].pivots; }
-  void place_fronts(int lanes);
+  void lay_out_fronts(int lanes);
   void find_runs();
-  void place_entries(const BlockPattern& pattern, const BlockGraph& graph);
+  void lay_out_entries(const BlockPattern& pattern, const BlockGraph& graph);
 
   int block_size_;
   AssemblyTree tree_;

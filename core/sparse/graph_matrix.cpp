@@ -18,7 +18,7 @@ void add_product(const double* h, const double* v, int columns, double* out) {
   }
 }
 
-// kColumns is 0 where it is not known beforehand.
+// kColumns is 0 where the number of columns is not a compile-time constant.
 template <int kSize, int kColumns>
 void multiply_blocks(const BlockPattern& pattern, const double* values, const double* v,
                      int given_columns, double* out) {
@@ -45,16 +45,16 @@ GraphMatrix::GraphMatrix(std::shared_ptr<const Elimination> elimination, int blo
 
 void GraphMatrix::add_edge(const Topology& graph, std::int64_t edge, const double* first,
                            const double* joint, const double* second, const double* values,
-                           int columns, double* forcing) {
+                           int columns, double* rhs) {
   const auto add = [&](double* block, const double* from, bool transposed) {
     for (int j = 0; j < d_; ++j) {
       for (int i = 0; i < d_; ++i) block[j * d_ + i] += from[transposed ? j * d_ + i : i * d_ + j];
     }
   };
-  const auto force = [&](std::int32_t place, std::int32_t held, bool transposed) {
-    double* out = forcing + std::int64_t{place} * d_ * columns;
+  const auto add_fixed = [&](std::int32_t index, std::int32_t fixed, bool transposed) {
+    double* out = rhs + std::int64_t{index} * d_ * columns;
     for (int i = 0; i < d_; ++i, out += columns) {
-      const double* x = values + std::int64_t{held} * d_ * columns;
+      const double* x = values + std::int64_t{fixed} * d_ * columns;
       for (int j = 0; j < d_; ++j, x += columns) {
         const double factor = transposed ? joint[j * d_ + i] : joint[i * d_ + j];
         for (int c = 0; c < columns; ++c) out[c] -= factor * x[c];
@@ -62,15 +62,15 @@ void GraphMatrix::add_edge(const Topology& graph, std::int64_t edge, const doubl
     }
   };
   const auto [from, to] = graph.edges()[edge];
-  const std::int32_t a = elimination_->place(from), b = elimination_->place(to);
+  const std::int32_t a = elimination_->index(from), b = elimination_->index(to);
   if (a >= 0) add(node_block(a), first, false);
   if (b >= 0) add(node_block(b), second, false);
   if (a >= 0 && b >= 0) {
     add(joint_block(edge), joint, a < b);
   } else if (a >= 0) {
-    force(a, to, false);
+    add_fixed(a, to, false);
   } else if (b >= 0) {
-    force(b, from, true);
+    add_fixed(b, from, true);
   }
 }
 

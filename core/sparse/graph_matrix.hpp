@@ -32,45 +32,60 @@ class GraphMatrix {
 
   // Adds to H the form
   //     x_from' first x_from + 2 x_from' joint x_to + x_to' second x_to
-  // of an edge, its blocks row-major, and to `forcing` what the value of a held node makes of the
-  // right-hand side: -H_fh x_h. `values` has d rows for every node, `forcing` for the free ones.
+  // of an edge, its blocks row-major. Where one of its nodes is fixed, adds that node's part of the
+  // right-hand side, -H x_fixed, to `rhs`. `values` has d rows for every node, `rhs` for every free
+  // one.
   void add_edge(const Topology& graph, std::int64_t edge, const double* first, const double* joint,
-                const double* second, const double* values, int columns, double* forcing);
+                const double* second, const double* values, int columns, double* rhs);
 
   void set_zero() { std::fill(values_.begin(), values_.end(), 0.0); }
-  // Blocks, column-major: that of an entry of the pattern, that of a free node by its place, and
-  // that of an edge's pair of free nodes, whose rows are those of the node with the greater place.
+  // Blocks, column-major: that of an entry of the pattern, that of a free node by its index, and
+  // that of an edge between free nodes, whose rows are those of the node with the greater index.
   double* block(std::int64_t entry) { return values_.data() + entry * d_ * d_; }
   const double* block(std::int64_t entry) const { return values_.data() + entry * d_ * d_; }
-  double* node_block(std::int32_t place) { return block(pattern().start[place]); }
+  double* node_block(std::int32_t index) { return block(pattern().start[index]); }
   double* joint_block(std::int64_t edge) { return block(elimination_->joint(edge)); }
 
   void diagonal(double* out) const;
   // out = H v
   void multiply(const double* v, int columns, double* out) const;
-  // Factorizes H plus a diagonal; returns -1, or the place at which it is not positive definite.
-  std::int32_t factorize(std::span<const double> damping) {
-    if (!cholesky_) cholesky_ = std::make_unique<BlockCholesky>(*elimination_, d_, threads_);
-    return cholesky_->factorize(values_, damping);
+  // Factorizes H plus a diagonal. Returns -1, or the index of the free node at which it is not
+  // positive definite.
+  [[nodiscard]] std::int32_t factorize(std::span<const double> damping) {
+    return cholesky().factorize(values_, damping);
   }
-  // Free nodes, ascending, that must be held for H plus the diagonal to be positive definite: each
-  // has `held` added instead.
-  std::vector<std::int32_t> indefinite(std::vector<double> damping, std::span<const double> held) {
-    if (!cholesky_) cholesky_ = std::make_unique<BlockCholesky>(*elimination_, d_, threads_);
-    return cholesky_->indefinite(values_, std::move(damping), held);
+  // Indices of free nodes, ascending, that must be fixed for H plus the diagonal to be positive
+  // definite: for each of them `fixing` replaces the damping.
+  std::vector<std::int32_t> indefinite(std::vector<double> damping,
+                                       std::span<const double> fixing) {
+    return cholesky().indefinite(values_, std::move(damping), fixing);
   }
-  bool factorized() const { return cholesky_ != nullptr; }
-  // Overwrites right-hand sides with the solutions of what was factorized.
-  void solve(std::span<double> rhs, int columns = 1) const { cholesky_->solve(rhs, columns); }
-  // Blocks of the inverse of what was factorized, by places, each row-major.
+
+  // The rest needs a factorization that succeeded, and throws NotFactorized without one. Later
+  // changes of the blocks do not affect it.
+  bool factorized() const { return cholesky_ && cholesky_->factorized(); }
+  // The smallest ratio of a pivot to its diagonal entry of H plus the damping; 1 without rows.
+  double pivot_ratio() const { return factor().pivot_ratio(); }
+  // Overwrites right-hand sides with the solutions.
+  void solve(std::span<double> rhs, int columns = 1) const { factor().solve(rhs, columns); }
+  // Writes blocks of the inverse, by indices among the free nodes, each row-major.
   void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                double* out) const {
-    cholesky_->inverse(rows, columns, out);
+    factor().inverse(rows, columns, out);
   }
 
   const BlockPattern& pattern() const { return elimination_->pattern(); }
 
  private:
+  BlockCholesky& cholesky() {
+    if (!cholesky_) cholesky_ = std::make_unique<BlockCholesky>(*elimination_, d_, threads_);
+    return *cholesky_;
+  }
+  const BlockCholesky& factor() const {
+    if (!cholesky_) throw NotFactorized();
+    return *cholesky_;
+  }
+
   std::shared_ptr<const Elimination> elimination_;
   int d_, threads_;
   std::vector<double> values_;

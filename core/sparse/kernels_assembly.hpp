@@ -1,4 +1,4 @@
-// Extend-add: a child's contribution block into its parent's front.
+// Extend-add: adds a child's contribution block to its parent's front.
 #pragma once
 
 #include "sparse/kernels.hpp"
@@ -30,7 +30,7 @@ inline void add(double* to, const double* from, std::int32_t count) {
 void extend_add(const Front& front, const double* child, std::int64_t ld_child, const Run* runs,
                 std::int64_t count, std::int32_t first, std::int32_t last) {
   const Run* const end = runs + count;
-  const Run* below = runs;  // the first run that holds no pivots
+  const Run* below = runs;  // the first run below the pivots
   while (below != end && below->target < front.pivots) ++below;
   for (const Run* run = runs; run != end && run->target < last; ++run) {
     std::int32_t c = first > run->target ? first - run->target : 0;

@@ -108,8 +108,8 @@ template <int N>
     subtract_tile<1, N, false>(column + i, ld, left + i, ld, left + j, ld, depth);
   }
   double* const diagonal = column + j;
-  const int broken = factor_block<N>(diagonal, ld, reciprocal + j, floor + j);
-  if (broken >= 0) return broken;
+  const int failed = factor_block<N>(diagonal, ld, reciprocal + j, floor + j);
+  if (failed >= 0) return failed;
 
   // The vectors that hold the diagonal block also hold rows above and below it.
   double block[N][N];
@@ -147,10 +147,10 @@ std::int32_t factor_diagonal(const Front& front, std::int32_t begin, double* rec
                             begin - k < kDepth ? begin - k : kDepth, 0);
   }
   for (std::int32_t j = begin; j < end; j += kColumns) {
-    const int broken = with_columns(end - j, [&]<int N>() {
+    const int failed = with_columns(end - j, [&]<int N>() {
       return factor_columns<N>(front, begin, round_up(end), j, reciprocal, floor);
     });
-    if (broken >= 0) return j + broken;
+    if (failed >= 0) return j + failed;
   }
   return -1;
 }

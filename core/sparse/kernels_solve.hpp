@@ -14,7 +14,7 @@ template <int kCount>
 struct Row {
   typedef double Value;
   typedef Vector Sum;
-  static constexpr std::int32_t kStep = kLanes;  // rows taken at once
+  static constexpr std::int32_t kStep = kLanes;  // rows processed at once
 };
 template <>
 struct Row<kWidth> {
@@ -22,17 +22,22 @@ struct Row<kWidth> {
   static constexpr std::int32_t kStep = 2;
 };
 
-// x -= the sum of a vector, by halves.
+// x -= the sum of a vector, always in the same order. Compilers turn the loads of halves into
+// shuffles of registers.
 inline void subtract_sum(double& x, const Vector& v) {
-#if MASAT_LANES == 8
-  const auto four =
-      __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
-  const auto two =
-      __builtin_shufflevector(four, four, 0, 1) + __builtin_shufflevector(four, four, 2, 3);
-#elif MASAT_LANES == 4
-  const auto two = __builtin_shufflevector(v, v, 0, 1) + __builtin_shufflevector(v, v, 2, 3);
+#if MASAT_LANES == 2
+  const Vector& two = v;
 #else
-  const auto two = v;
+#if MASAT_LANES == 8
+  typedef double Four __attribute__((vector_size(32), may_alias));
+  const auto* const fours = reinterpret_cast<const Four*>(&v);
+  const Four four = fours[0] + fours[1];
+#else
+  const Vector& four = v;
+#endif
+  typedef double Two __attribute__((vector_size(16), may_alias));
+  const auto* const twos = reinterpret_cast<const Two*>(&four);
+  const Two two = twos[0] + twos[1];
 #endif
   x -= two[0] + two[1];
 }
@@ -64,7 +69,7 @@ template <bool kOverwrite>
   }
 }
 
-// Taken row by row, the next columns come late from memory unless asked for ahead.
+// Reading row by row, the processor does not fetch the next columns by itself in time.
 template <int N>
 [[gnu::always_inline]] inline void prefetch(const double* a, std::int64_t lda, std::int64_t row) {
   constexpr std::int64_t kLine = 8;
@@ -134,7 +139,7 @@ template <int N, int kCount>
     for (int k = 0; k < n; ++k) solved[n] -= l[k * ld + j + n] * solved[k];
     solved[n] *= reciprocal[j + n];
   }
-  // What this makes of the columns' own part is not kept.
+  // The first vector may also change the columns' own part, which is overwritten below.
   constexpr std::int32_t kStep = Row<kCount>::kStep;
   const std::int32_t top = round_down<kStep>(j + N);
   apply<false>(l + top, ld, solved, N, round_up<kStep>(front.pivots) - top, x + top);

@@ -1,5 +1,6 @@
-// The kernels, once for each width of vectors. Everything here and below is local to the including
-// file, which may be compiled for more than the machine can do: no inline function may be shared.
+// The kernels, compiled once for each width of vectors. Everything included here is local to the
+// including file. That file may be compiled for instructions that this machine does not have, and
+// the linker must not choose its copy of a shared inline function.
 #include "sparse/kernels.hpp"
 #include "sparse/kernels_assembly.hpp"
 #include "sparse/kernels_factor.hpp"

@@ -1,4 +1,4 @@
-// Vectors of MASAT_LANES doubles, and the products of tiles held in registers.
+// Vectors of MASAT_LANES doubles, and the products of tiles kept in registers.
 #pragma once
 
 #include <cstdint>
@@ -11,8 +11,8 @@ typedef double Vector __attribute__((vector_size(8 * MASAT_LANES), may_alias));
 constexpr std::int32_t kLanes = MASAT_LANES;
 constexpr std::int32_t kVectors = MASAT_TILE_VECTORS;     // rows of a tile
 constexpr std::int32_t kColumns = 6;                      // of a tile
-constexpr std::int32_t kWidth = kLanes < 4 ? kLanes : 4;  // right-hand sides solved at once
-constexpr std::int64_t kDepth = 96;  // columns whose tile of rows stays in the first cache
+constexpr std::int32_t kWidth = kLanes < 4 ? kLanes : 4;  // right-hand sides in a wide solve
+constexpr std::int64_t kDepth = 96;  // columns whose tile of rows fits the first-level cache
 
 inline Vector load(const double* p) { return *reinterpret_cast<const Vector*>(p); }
 inline void store(double* p, Vector v) { *reinterpret_cast<Vector*>(p) = v; }
@@ -49,7 +49,7 @@ template <int R, int N>
   }
 }
 
-// Calls f with what is left, at most kMost, as a compile-time constant.
+// Calls f with min(left, kMost) as a compile-time constant.
 template <int kMost, class F>
 [[gnu::always_inline]] inline auto with_constant(std::int64_t left, F f) {
   if constexpr (kMost > 1) {
@@ -58,12 +58,12 @@ template <int kMost, class F>
   return f.template operator()<kMost>();
 }
 
-// The same for the columns of a tile. Large functions that f calls are not inlined, lest all share
-// one frame.
+// The same for the columns of a tile. Large functions that f calls must not be inlined, or all of
+// them would share one large stack frame.
 template <class F>
 [[gnu::always_inline]] inline auto with_columns(std::int64_t left, F f) {
   if (left >= kColumns) return f.template operator()<kColumns>();
-  if (left == 3) return f.template operator()<3>();  // blocks of 3 leave no other
+  if (left == 3) return f.template operator()<3>();  // the only other case for blocks of 3 rows
   return with_constant<kColumns - 1>(left, f);
 }
 

@@ -3,14 +3,17 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "sparse/block_size.hpp"
 
 namespace masat {
 namespace {
 
-constexpr double kTighter = 1e6;
-constexpr std::int64_t kNone = std::numeric_limits<std::int64_t>::max();
+// By how much the damping of a fixed node grows if its pivot fails again.
+constexpr double kFixingGrowth = 1e6;
+// Values of `failed_` that are no column: no pivot has failed, and stop at once.
+constexpr std::int64_t kNone = std::numeric_limits<std::int64_t>::max(), kStopped = -1;
 
 template <int kSize>
 void copy_block(double* to, std::int64_t ld, const double* from, bool transposed) {
@@ -32,11 +35,11 @@ std::int32_t chunks(std::int32_t count, std::int32_t size) { return (count + siz
 Multifrontal::Multifrontal(const FrontLayout& layout, const Kernels& kernels, int threads)
     : layout_(layout),
       kernels_(kernels),
-      pool_(threads),
-      schedule_(layout, pool_.threads()),
+      schedule_(layout, threads),
+      pool_(schedule_.threads),
       factor_(layout.factor_size()),
       common_(schedule_.common_size) {
-  if (pool_.threads() > 1) {
+  if (!schedule_.subtrees.empty()) {
     for (int t = 0; t < pool_.threads(); ++t) own_.emplace_back(schedule_.thread_size);
   }
   const std::size_t scalars = layout.tree().order.size() * layout.block_size();
@@ -53,7 +56,7 @@ std::int32_t Multifrontal::factorize(std::span<const double> values,
                                      std::span<const double> damping) {
   values_ = values;
   damping_ = damping;
-  broken_.store(kNone, std::memory_order_relaxed);
+  failed_.store(kNone, std::memory_order_relaxed);
   {
     const WorkerPool::Session session(pool_);
     pool_.for_each(static_cast<std::int32_t>(schedule_.subtrees.size()),
@@ -73,23 +76,51 @@ std::int32_t Multifrontal::factorize(std::span<const double> values,
       }
     }
   }
-  const std::int64_t broken = broken_.load(std::memory_order_relaxed);
-  return broken == kNone ? -1 : static_cast<std::int32_t>(broken / layout_.block_size());
+  if (interruption_) std::rethrow_exception(std::exchange(interruption_, nullptr));
+  const std::int64_t failed = failed_.load(std::memory_order_relaxed);
+  return failed == kNone ? -1 : static_cast<std::int32_t>(failed / layout_.block_size());
 }
 
-std::int32_t Multifrontal::factorize(std::span<const double> values, std::span<double> damping,
-                                     std::span<const double> held, std::vector<char>& broken) {
-  const Holding holding{damping, held, broken};
-  holding_ = &holding;
-  const std::int32_t last = factorize(values, damping);
-  holding_ = nullptr;
-  return last;
+std::vector<char> Multifrontal::fix_failing(std::span<const double> values,
+                                            std::span<double> damping,
+                                            std::span<const double> fixing) {
+  std::vector<char> fixed(layout_.tree().order.size());
+  const Fixing context{damping, fixing, fixed};
+  struct Reset {
+    const Fixing*& pointer;
+    ~Reset() { pointer = nullptr; }
+  };
+  fixing_ = &context;
+  const Reset reset{fixing_};
+  // Numbers that are not finite can fail all the same; the flags are then what is known.
+  static_cast<void>(factorize(values, damping));
+  return fixed;
 }
 
-// Fronts after a broken pivot do not matter, and those before it are all computed: the first one is
-// found whatever the threads do.
+double Multifrontal::pivot_ratio() const {
+  constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
+  double largest = 1;  // ratio of a diagonal entry to its pivot, which rounding may make less
+  for (std::size_t k = 0; k < floor_.size(); ++k) {
+    largest = std::max(largest, floor_[k] / kEpsilon * (reciprocal_[k] * reciprocal_[k]));
+  }
+  return 1 / largest;
+}
+
+// Fronts after a failed pivot do not matter. All fronts before it are computed, so that the first
+// failed pivot is found for any number of threads.
 bool Multifrontal::matters(std::int32_t f) const {
-  return layout_.first(f) < broken_.load(std::memory_order_relaxed);
+  return layout_.first(f) < failed_.load(std::memory_order_relaxed);
+}
+
+// Notices Ctrl-C in the thread that called factorize. No front matters from then on.
+void Multifrontal::poll(int rank, double operations) noexcept {
+  if (rank != 0) return;
+  try {
+    poll_.add(operations);
+  } catch (...) {
+    interruption_ = std::current_exception();
+    failed_.store(kStopped, std::memory_order_relaxed);
+  }
 }
 
 double* Multifrontal::contribution(std::int32_t f, int rank) const {
@@ -100,20 +131,22 @@ template <class Threads>
 void Multifrontal::process(std::int32_t f, int rank, Threads&& threads) {
   constexpr std::int32_t kPanel = Kernels::kPanel, kTile = Kernels::kTile;
   const Front front = layout_.front(f, factor_.data(), contribution(f, rank));
-  // About a panel, of whole blocks.
+  // The number of rows of whole blocks in about a panel.
   const std::int32_t whole = kPanel / layout_.block_size() * layout_.block_size();
-  std::int32_t broken;
+  std::int32_t failed;
   do {
     threads.for_each(chunks(front.pivots, whole), [&](std::int32_t i, int) {
       assemble_pivots(front, f, rank, i * whole, std::min((i + 1) * whole, front.pivots));
     });
-    broken = eliminate(front, f, threads);
-  } while (broken >= 0 && hold(layout_.first(f) + broken));
-  if (broken >= 0) return report_broken(layout_.first(f) + broken);
-  // The long rows first, for balance.
+    failed = eliminate(front, f, rank, threads);
+  } while (failed >= 0 && matters(f) && fix(layout_.first(f) + failed));
+  if (failed >= 0) return report_failed(layout_.first(f) + failed);
+  // The longest rows first, to balance the threads.
   const std::int32_t tiles = chunks(front.rows, kTile);
-  threads.for_each(tiles, [&](std::int32_t i, int) {
+  threads.for_each(tiles, [&](std::int32_t i, int task_rank) {
     const std::int32_t first = (tiles - 1 - i) * kTile;
+    poll(task_rank, double(kTile) * first * front.pivots);
+    if (!matters(f)) return;
     kernels_.update_rows(front, first, std::min(first + kTile, front.rows));
   });
   if (layout_.children(f).empty()) return;
@@ -156,16 +189,19 @@ void Multifrontal::add_children(const Front& front, std::int32_t f, int rank, st
   }
 }
 
-// Returns -1, or the pivot of the front that broke.
+// Returns -1, or the pivot of the front that failed.
 template <class Threads>
-std::int32_t Multifrontal::eliminate(const Front& front, std::int32_t f, Threads&& threads) {
+std::int32_t Multifrontal::eliminate(const Front& front, std::int32_t f, int rank,
+                                     Threads&& threads) {
   constexpr std::int32_t kPanel = Kernels::kPanel, kTile = Kernels::kTile;
   const std::int64_t column = layout_.first(f);
   double* const reciprocal = reciprocal_.data() + column;
   for (std::int32_t begin = 0; begin < front.pivots; begin += kPanel) {
-    const std::int32_t broken =
+    poll(rank, double(kPanel) * (begin + kPanel) * (front.pivots - begin + front.rows));
+    if (!matters(f)) return -1;
+    const std::int32_t failed =
         kernels_.factor_diagonal(front, begin, reciprocal, floor_.data() + column);
-    if (broken >= 0) return broken;
+    if (failed >= 0) return failed;
     const std::int32_t end = std::min(begin + kPanel, front.pivots);
     const std::int32_t inside = chunks(front.pivots - end, kTile);
     threads.for_each(inside + chunks(front.rows, kTile), [&](std::int32_t i, int) {
@@ -178,24 +214,26 @@ std::int32_t Multifrontal::eliminate(const Front& front, std::int32_t f, Threads
   return -1;
 }
 
-// Returns whether that may help: not where nothing is to be held, nor beyond all numbers.
-bool Multifrontal::hold(std::int64_t column) const {
-  if (!holding_) return false;
+// Fixes the node of a failed pivot. Returns false if no node is to be fixed, or if its damping is
+// no longer finite.
+bool Multifrontal::fix(std::int64_t column) const {
+  if (!fixing_) return false;
   const int d = layout_.block_size();
   const std::int32_t node = layout_.tree().order[column / d];
-  double* const damping = &holding_->damping[std::int64_t{node} * d];
-  // A pivot that was hardly one makes of its neighbors' what no first hold may be a match for.
+  double* const damping = &fixing_->damping[std::int64_t{node} * d];
+  // A pivot just above its floor can change the diagonal entries of its neighbors by more than the
+  // first damping of a fixed node.
   for (int i = 0; i < d; ++i) {
-    damping[i] =
-        holding_->broken[node] ? kTighter * damping[i] : holding_->held[std::int64_t{node} * d + i];
+    damping[i] = fixing_->fixed[node] ? kFixingGrowth * damping[i]
+                                      : fixing_->fixing[std::int64_t{node} * d + i];
   }
-  holding_->broken[node] = 1;
+  fixing_->fixed[node] = 1;
   return std::all_of(damping, damping + d, [](double v) { return std::isfinite(v); });
 }
 
-void Multifrontal::report_broken(std::int64_t column) {
-  std::int64_t known = broken_.load(std::memory_order_relaxed);
-  while (column < known && !broken_.compare_exchange_weak(known, column)) {
+void Multifrontal::report_failed(std::int64_t column) {
+  std::int64_t known = failed_.load(std::memory_order_relaxed);
+  while (column < known && !failed_.compare_exchange_weak(known, column)) {
   }
 }
 

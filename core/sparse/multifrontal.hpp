@@ -3,9 +3,11 @@
 
 #include <atomic>
 #include <cstdint>
+#include <exception>
 #include <span>
 #include <vector>
 
+#include "interrupt.hpp"
 #include "sparse/aligned_buffer.hpp"
 #include "sparse/front_layout.hpp"
 #include "sparse/kernels.hpp"
@@ -16,26 +18,37 @@ namespace masat {
 
 class Multifrontal {
  public:
-  // The layout must outlive this.
+  // The layout must outlive this object.
   Multifrontal(const FrontLayout& layout, const Kernels& kernels, int threads);
 
-  // Returns -1, or the first place in the elimination order whose pivot broke. The factor is the
-  // same for any number of threads.
-  std::int32_t factorize(std::span<const double> values, std::span<const double> damping);
+  // Returns -1, or the first index in the elimination order whose pivot failed. The factor is the
+  // same for any number of threads. Throws what check_interrupt() throws.
+  [[nodiscard]] std::int32_t factorize(std::span<const double> values,
+                                       std::span<const double> damping);
 
-  // The same, but a node whose pivot breaks is held: `held`, or more where that is not enough,
-  // takes the place of its damping, and its front is computed anew. Marks these nodes in `broken`.
-  std::int32_t factorize(std::span<const double> values, std::span<double> damping,
-                         std::span<const double> held, std::vector<char>& broken);
+  // The same, but a node whose pivot fails is fixed: `fixing`, or more where that is not enough,
+  // replaces its damping, and its front is computed again. Returns a flag for each node.
+  std::vector<char> fix_failing(std::span<const double> values, std::span<double> damping,
+                                std::span<const double> fixing);
 
-  // Overwrites right-hand sides, in the elimination order, with the solutions. A row has `width`
-  // of them side by side, one or as many as the kernels' `width`; more follow in further groups.
-  void solve(std::span<double> x, int width);
+  // The smallest ratio of a pivot to its diagonal entry before the elimination, of the last
+  // factorization, which must have succeeded; 1 without pivots.
+  double pivot_ratio() const;
 
-  // A front of the factor; its contribution block is gone.
+  // Overwrites right-hand sides, in the elimination order, with the solutions. A row has `width` of
+  // them side by side, either one or as many as the kernels' `width`; further groups follow.
+  void solve(std::span<double> x, int width) const;
+
+  // A front of the factor, without its contribution block, which is not kept.
   Front front(std::int32_t f) const { return layout_.front(f, factor_.data()); }
 
  private:
+  struct Fixing {
+    std::span<double> damping;
+    std::span<const double> fixing;
+    std::vector<char>& fixed;
+  };
+
   double* contribution(std::int32_t f, int rank) const;
   void assemble_pivots(const Front& front, std::int32_t f, int rank, std::int32_t begin,
                        std::int32_t end);
@@ -44,28 +57,28 @@ class Multifrontal {
   template <class Threads>
   void process(std::int32_t f, int rank, Threads&& threads);
   template <class Threads>
-  std::int32_t eliminate(const Front& front, std::int32_t f, Threads&& threads);
+  std::int32_t eliminate(const Front& front, std::int32_t f, int rank, Threads&& threads);
   bool matters(std::int32_t f) const;
   template <class Width, class Block>
   void solve_blocks(std::span<double> x, Width width, Block block) const;
-  void report_broken(std::int64_t column);
-  bool hold(std::int64_t column) const;
+  void report_failed(std::int64_t column);
+  bool fix(std::int64_t column) const;
+  void poll(int rank, double operations) noexcept;
 
   const FrontLayout& layout_;
   const Kernels& kernels_;
-  WorkerPool pool_;
   Schedule schedule_;
+  WorkerPool pool_;
   AlignedBuffer factor_, common_, gathered_;
-  std::vector<AlignedBuffer> own_;          // of each thread
-  std::vector<double> reciprocal_, floor_;  // of each pivot; at or below its floor it is broken
+  std::vector<AlignedBuffer> own_;  // of each thread
+  // Of each pivot: 1 / sqrt(pivot), and epsilon times its diagonal entry before the elimination. A
+  // pivot that is not greater than that floor has failed.
+  std::vector<double> reciprocal_, floor_;
   std::span<const double> values_, damping_;
-  struct Holding {
-    std::span<double> damping;
-    std::span<const double> held;
-    std::vector<char>& broken;
-  };
-  const Holding* holding_ = nullptr;
-  std::atomic<std::int64_t> broken_{0};  // the first broken column so far
+  const Fixing* fixing_ = nullptr;
+  std::atomic<std::int64_t> failed_{0};  // the first column so far whose pivot failed
+  InterruptPoll poll_;
+  std::exception_ptr interruption_;  // thrown in the first thread, and not yet by factorize
 };
 
 }  // namespace masat

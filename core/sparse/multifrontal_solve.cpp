@@ -6,21 +6,30 @@
 
 namespace masat {
 
-// `block` scalars of x are those of a block row. Constants where there is one right-hand side.
+// A row of blocks has `block` scalars of x. For one right-hand side, `width` and `block` are
+// compile-time constants.
 template <class Width, class Block>
 void Multifrontal::solve_blocks(std::span<double> x, Width width, Block block) const {
   const AssemblyTree& tree = layout_.tree();
   const auto group = static_cast<std::int64_t>(reciprocal_.size()) * width;
   const auto forward = width == 1 ? kernels_.forward : kernels_.forward_wide;
   const auto backward = width == 1 ? kernels_.backward : kernels_.backward_wide;
-  // The pivots' part and that of the rows, each of whole vectors.
+  // The values at the pivots of a front, followed by those at its rows, both padded to whole
+  // vectors.
   double* const pivots = gathered_.data();
   const auto take_pivots = [&](const Front& front, const double* own) {
     std::fill(std::copy(own, own + front.pivots * width, pivots), pivots + front.ld11 * width, 0.0);
   };
 
+  InterruptPoll poll;
+  const double columns = double(x.size()) / std::max<double>(reciprocal_.size(), 1);
+  const auto operations = [&](const Front& front) {
+    return columns * front.pivots * (front.pivots + front.rows);
+  };
+
   for (std::int32_t f = 0; f < layout_.fronts(); ++f) {
     const Front front = layout_.front(f, factor_.data());
+    poll.add(operations(front));
     double* const rows = pivots + front.ld11 * width;
     for (auto base = x.begin(); base != x.end(); base += group) {
       double* const own = &base[layout_.first(f) * width];
@@ -37,6 +46,7 @@ void Multifrontal::solve_blocks(std::span<double> x, Width width, Block block) c
 
   for (std::int32_t f = layout_.fronts() - 1; f >= 0; --f) {
     const Front front = layout_.front(f, factor_.data());
+    poll.add(operations(front));
     double* const rows = pivots + front.ld11 * width;
     for (auto base = x.begin(); base != x.end(); base += group) {
       double* const own = &base[layout_.first(f) * width];
@@ -52,7 +62,7 @@ void Multifrontal::solve_blocks(std::span<double> x, Width width, Block block) c
   }
 }
 
-void Multifrontal::solve(std::span<double> x, int width) {
+void Multifrontal::solve(std::span<double> x, int width) const {
   const int block = layout_.block_size();
   if (width > 1) return solve_blocks(x, width, block * width);
   with_block_size(block, [&]<int kSize>() {

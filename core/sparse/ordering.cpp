@@ -15,7 +15,7 @@ std::vector<std::int32_t> minimum_degree(const BlockGraph& graph) {
   matrix.resizeNonZeros(start[n]);
   int* row = matrix.innerIndexPtr();
   for (std::int32_t c = 0; c < n; ++c) {
-    *row++ = c;  // else the column is taken for a dense one
+    *row++ = c;  // without the diagonal, Eigen takes the column for a dense one
     for (const BlockGraph::Neighbor& r : graph.neighbors(c)) *row++ = r.node;
   }
   Eigen::PermutationMatrix<Eigen::Dynamic, Eigen::Dynamic, int> order;

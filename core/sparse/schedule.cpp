@@ -3,14 +3,21 @@
 #include <algorithm>
 #include <numeric>
 #include <span>
+#include <thread>
 
 namespace masat {
 namespace {
 
-// Work that outweighs the threads' coming together, in operations.
+// A front of at least this many operations is worth sharing: its work outweighs the time for which
+// the threads wait for each other.
 constexpr double kShared = 2e6;
 
-// Floating-point operations, and about as many for the assembly.
+// The numbers do not depend on the threads. Beyond this limit more of them only take memory.
+int limit_threads(int asked) {
+  return std::clamp(asked, 1, std::max<int>(std::thread::hardware_concurrency(), 64));
+}
+
+// Estimated floating-point operations of a front, with its assembly.
 double front_cost(const FrontLayout& layout, std::int32_t f) {
   const double pivots = layout.shape(f).pivots, rows = layout.shape(f).rows;
   return pivots * (pivots * pivots / 3 + rows * (pivots + rows)) + 4 * rows * rows + 4000;
@@ -26,16 +33,17 @@ std::vector<double> subtree_costs(const FrontLayout& layout) {
   return cost;
 }
 
-// Two stacks, by the parity of the depth: a front's block goes on one while its children's lie on
-// top of the other, so that none needs to move.
+// Two stacks, for even and odd depths in the tree: the block of a front is put on one while those
+// of its children lie on top of the other, so that no block has to move.
 class Stacks {
  public:
   Stacks(const FrontLayout& layout, std::span<const std::int32_t> depth, Schedule& schedule)
       : layout_(layout), depth_(depth), schedule_(schedule) {}
 
-  // Places the blocks of `fronts`, a postorder; `stacked` tells which lie here.
+  // Assigns offsets to the blocks of `fronts`, a postorder, for which `stacked` is true; returns
+  // the size of the workspace.
   template <class Stacked>
-  std::int64_t place(std::span<const std::int32_t> fronts, Stacked stacked) {
+  std::int64_t lay_out(std::span<const std::int32_t> fronts, Stacked stacked) {
     std::int64_t top[2] = {0, 0}, size[2] = {0, 0};
     for (const std::int32_t f : fronts) {
       const int side = depth_[f] % 2;
@@ -63,15 +71,17 @@ class Stacks {
 
 }  // namespace
 
-Schedule::Schedule(const FrontLayout& layout, int threads) {
+Schedule::Schedule(const FrontLayout& layout, int asked_threads) {
+  const int allowed = limit_threads(asked_threads);
   const std::int32_t n = layout.fronts();
   const std::vector<std::int32_t>& parent = layout.tree().parent;
   const std::vector<double> cost = subtree_costs(layout);
   double total = 0;
   for (std::int32_t f = 0; f < n; ++f) total += parent[f] < 0 ? cost[f] : 0;
 
-  // A subtree is small enough to balance the threads, its parent is not.
-  const double limit = threads > 1 ? total / (8 * threads) : 0;
+  // A subtree is the largest that still lets the threads be balanced.
+  const double limit = allowed > 1 ? total / (8 * allowed) : 0;
+  std::int32_t most_tasks = 1;
   std::vector<std::int32_t> depth(n, 0), subtree_of(n, -1);
   for (std::int32_t f = n - 1; f >= 0; --f) {
     if (parent[f] >= 0) depth[f] = depth[parent[f]] + 1;
@@ -82,9 +92,13 @@ Schedule::Schedule(const FrontLayout& layout, int threads) {
       subtree_of[f] = static_cast<std::int32_t>(subtrees.size());
       subtrees.push_back({f, f});
     } else {
-      top.push_back({f, threads > 1 && front_cost(layout, f) > kShared});
+      const bool shared = allowed > 1 && front_cost(layout, f) > kShared;
+      top.push_back({f, shared});
+      const std::int32_t rows = layout.shape(f).pivots + layout.shape(f).rows;
+      if (shared) most_tasks = std::max(most_tasks, rows / Kernels::kTile);
     }
   }
+  threads = std::min(allowed, std::max(most_tasks, static_cast<std::int32_t>(subtrees.size())));
   std::reverse(top.begin(), top.end());
 
   contribution.assign(n, 0);
@@ -95,14 +109,14 @@ Schedule::Schedule(const FrontLayout& layout, int threads) {
     fronts.resize(subtree.last - subtree.first + 1);
     std::iota(fronts.begin(), fronts.end(), subtree.first);
     const auto inner = [&](std::int32_t f) { return f != subtree.last; };
-    thread_size = std::max(thread_size, stacks.place(fronts, inner));
+    thread_size = std::max(thread_size, stacks.lay_out(fronts, inner));
   }
   fronts.clear();
   for (const TopFront& t : top) {
     fronts.push_back(t.front);
     in_common[t.front] = true;
   }
-  common_size = stacks.place(fronts, [&](std::int32_t f) { return subtree_of[f] < 0; });
+  common_size = stacks.lay_out(fronts, [&](std::int32_t f) { return subtree_of[f] < 0; });
   for (const Subtree& subtree : subtrees) {
     in_common[subtree.last] = true;
     contribution[subtree.last] = common_size;

@@ -1,4 +1,4 @@
-// Who computes which fronts, and where their contribution blocks live.
+// Which thread computes which fronts, and where their contribution blocks are stored.
 #pragma once
 
 #include <cstdint>
@@ -15,17 +15,19 @@ struct Schedule {
 
   struct TopFront {
     std::int32_t front;
-    bool shared;  // worth more than one thread
+    bool shared;  // large enough for all threads to work on it
   };
 
-  // A single thread's has no subtrees.
-  Schedule(const FrontLayout& layout, int threads);
+  // The schedule of a single thread has no subtrees.
+  Schedule(const FrontLayout& layout, int asked_threads);
 
-  std::vector<Subtree> subtrees;  // one thread each, the costly first
-  std::vector<TopFront> top;      // the other fronts, one by one after the subtrees; a postorder
+  int threads;  // that can find work at the same time, at most as many as asked for
 
-  // Offsets of the contribution blocks: inside a subtree in the workspace of its thread, else in
-  // the common one.
+  std::vector<Subtree> subtrees;  // one thread each, the most expensive first
+  std::vector<TopFront> top;      // the other fronts in postorder, one by one after the subtrees
+
+  // Offsets of the contribution blocks: inside a subtree in the workspace of its thread, otherwise
+  // in the common one.
   std::vector<std::int64_t> contribution;
   std::int64_t common_size = 0, thread_size = 0;
   std::vector<bool> in_common;

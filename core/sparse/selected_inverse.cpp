@@ -2,10 +2,12 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <cmath>
 #include <functional>
 #include <utility>
 #include <vector>
 
+#include "interrupt.hpp"
 #include "sparse/aligned_buffer.hpp"
 
 namespace masat {
@@ -16,7 +18,7 @@ using Square = Eigen::Map<Matrix>;
 using Factor = Eigen::Map<const Matrix, Eigen::Unaligned, Eigen::OuterStride<>>;
 using Rows = Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
 
-// A block of the inverse, by places in the elimination order.
+// A block of the inverse, by indices in the elimination order.
 struct Wanted {
   std::int32_t row, column;
   double* out;
@@ -27,9 +29,9 @@ class Inverter {
   Inverter(const FrontLayout& layout, const Multifrontal& factor)
       : layout_(layout), tree_(layout.tree()), factor_(factor), d_(layout.block_size()) {}
 
-  // The front that eliminates a place.
-  std::int32_t front_of(std::int32_t place) const {
-    const auto next = std::upper_bound(tree_.first.begin(), tree_.first.end(), place);
+  // The front that eliminates an index.
+  std::int32_t front_of(std::int32_t index) const {
+    const auto next = std::upper_bound(tree_.first.begin(), tree_.first.end(), index);
     return static_cast<std::int32_t>(next - tree_.first.begin()) - 1;
   }
   std::int32_t front_of(const Wanted& w) const { return front_of(std::min(w.row, w.column)); }
@@ -44,12 +46,12 @@ class Inverter {
   Factor l11(const Front& f) const { return {f.l11, f.pivots, f.pivots, {f.ld11}}; }
   Factor l21(const Front& f) const { return {f.l21, f.rows, f.pivots, {f.ld21}}; }
 
-  // A place's block in a front, or -1.
-  std::int32_t position(std::int32_t f, std::int32_t place) const {
-    if (place < tree_.first[f + 1]) return place - tree_.first[f];
+  // The position of an index among the blocks of a front, or -1.
+  std::int32_t position(std::int32_t f, std::int32_t index) const {
+    if (index < tree_.first[f + 1]) return index - tree_.first[f];
     const std::span<const std::int32_t> rows = tree_.rows(f);
-    const auto row = std::lower_bound(rows.begin(), rows.end(), place);
-    if (row == rows.end() || *row != place) return -1;
+    const auto row = std::lower_bound(rows.begin(), rows.end(), index);
+    if (row == rows.end() || *row != index) return -1;
     return tree_.pivots(f) + static_cast<std::int32_t>(row - rows.begin());
   }
 
@@ -64,8 +66,9 @@ class Inverter {
   const int d_;
 };
 
-// Of the fronts that hold a wanted block and of their ancestors, the inverse's entries in the
-// front's pivots and rows, from the roots down: a front's rows lie in its parent.
+// Computes the entries of the inverse in the pivots and rows of each front that contains a wanted
+// block, and of the ancestors of these fronts. From the roots down, since the rows of a front lie
+// in its parent.
 void Inverter::invert_fronts(std::vector<Wanted> wanted) {
   std::sort(wanted.begin(), wanted.end(), [&](const Wanted& a, const Wanted& b) {
     return std::min(a.row, a.column) > std::min(b.row, b.column);
@@ -75,7 +78,7 @@ void Inverter::invert_fronts(std::vector<Wanted> wanted) {
   for (const Wanted& w : wanted) climb(front_of(w), needed, fronts);
   std::sort(fronts.begin(), fronts.end(), std::greater<>());
 
-  // A subtree is done before what lies beside it: those of a path are a stack.
+  // A subtree is finished before the next one begins, so the fronts on a path form a stack.
   std::vector<std::int64_t> start(tree_.fronts()), end(tree_.fronts());
   std::int64_t highest = 0;
   const auto width = [&](std::int32_t f) {
@@ -88,8 +91,10 @@ void Inverter::invert_fronts(std::vector<Wanted> wanted) {
   }
   const AlignedBuffer stack(highest);
 
+  InterruptPoll poll;
   auto next = wanted.begin();
   for (const std::int32_t f : fronts) {
+    poll.add(std::pow(width(f), 3));
     const std::int32_t p = tree_.parent[f];
     Square inverse(stack.data() + start[f], width(f), width(f));
     if (p < 0) {
@@ -133,7 +138,7 @@ void Inverter::invert_front(std::int32_t f, const Square* parent, Square& invers
   inverse.topLeftCorner(pivots, pivots) = own.selfadjointView<Eigen::Lower>();
 }
 
-// Appends a front and its ancestors, as far as they are new.
+// Appends a front and its ancestors up to the first one that has been seen.
 void Inverter::climb(std::int32_t f, std::vector<bool>& seen,
                      std::vector<std::int32_t>& path) const {
   for (; f >= 0 && !seen[f]; f = tree_.parent[f]) {
@@ -143,7 +148,7 @@ void Inverter::climb(std::int32_t f, std::vector<bool>& seen,
 }
 
 void Inverter::solve_columns(std::vector<Wanted> wanted) {
-  // The node of a pair that more pairs share is the one to solve for.
+  // Of a pair of nodes, solve for the one that occurs in more pairs.
   std::vector<std::int32_t> uses(tree_.order.size(), 0);
   for (const Wanted& w : wanted) {
     ++uses[w.row];
@@ -163,6 +168,10 @@ void Inverter::solve_columns(std::vector<Wanted> wanted) {
   std::vector<double> x(tree_.order.size() * block, 0.0), below(widest * d_);
   std::vector<bool> up(tree_.fronts(), false), down(tree_.fronts(), false);
   std::vector<std::int32_t> rising, falling;
+  InterruptPoll poll;
+  const auto operations = [&](std::int32_t f) {
+    return double(layout_.shape(f).pivots) * (layout_.shape(f).pivots + layout_.shape(f).rows) * d_;
+  };
   for (auto next = wanted.begin(), end = next; next != wanted.end(); next = end) {
     const std::int32_t column = source(*next);
     rising.clear();
@@ -174,8 +183,14 @@ void Inverter::solve_columns(std::vector<Wanted> wanted) {
     std::sort(falling.begin(), falling.end(), std::greater<>());
 
     Rows(&x[std::int64_t{column} * block], d_, d_).setIdentity();
-    for (const std::int32_t f : rising) forward(f, x.data(), below.data());
-    for (const std::int32_t f : falling) backward(f, x.data(), below.data());
+    for (const std::int32_t f : rising) {
+      poll.add(operations(f));
+      forward(f, x.data(), below.data());
+    }
+    for (const std::int32_t f : falling) {
+      poll.add(operations(f));
+      backward(f, x.data(), below.data());
+    }
     for (; next != end; ++next) {
       const bool transposed = next->column != column;
       const Rows solved(&x[std::int64_t{transposed ? next->column : next->row} * block], d_, d_);
@@ -223,10 +238,10 @@ void invert_blocks(const FrontLayout& layout, const Multifrontal& factor,
                    std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                    double* out) {
   Inverter inverter(layout, factor);
-  const std::vector<std::int32_t>& place = layout.tree().place;
+  const std::vector<std::int32_t>& index = layout.tree().index;
   std::vector<Wanted> inside, outside;
   for (std::size_t k = 0; k < rows.size(); ++k, out += layout.block_size() * layout.block_size()) {
-    const Wanted wanted{place[rows[k]], place[columns[k]], out};
+    const Wanted wanted{index[rows[k]], index[columns[k]], out};
     (inverter.in_pattern(wanted) ? inside : outside).push_back(wanted);
   }
   if (!inside.empty()) inverter.invert_fronts(std::move(inside));

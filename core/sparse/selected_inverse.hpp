@@ -13,8 +13,9 @@
 namespace masat {
 
 // Writes the block at (rows[k], columns[k]), row-major, for each k. Blocks in the pattern of the
-// factor come from the recursion over the fronts that hold them and over their ancestors; others
-// from solves with the columns of a node, along the paths from both nodes to the root alone.
+// factor come from the recursion over the fronts that contain them and the ancestors of these.
+// Other blocks come from solves with the columns of one node, restricted to the paths from both
+// nodes to the root.
 void invert_blocks(const FrontLayout& layout, const Multifrontal& factor,
                    std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                    double* out);

@@ -45,14 +45,14 @@ std::vector<Supernode> find_fundamental(const EliminationTree& tree,
   return supernodes;
 }
 
-// Greedy, from the leaves up. Returns the supernode that holds each one in the end.
+// Greedy, from the leaves up. Returns the supernode into which each one is merged in the end.
 std::vector<std::int32_t> amalgamate(std::vector<Supernode>& supernodes,
                                      std::span<const std::int32_t> parent, int block_size) {
   const auto n = static_cast<std::int32_t>(supernodes.size());
   const Children children(parent);
-  std::vector<std::int32_t> holder(n), by_rows;
+  std::vector<std::int32_t> merged_into(n), by_rows;
   for (std::int32_t p = 0; p < n; ++p) {
-    holder[p] = p;
+    merged_into[p] = p;
     by_rows.assign(children.of(p).begin(), children.of(p).end());
     std::stable_sort(by_rows.begin(), by_rows.end(), [&](std::int32_t a, std::int32_t b) {
       return supernodes[a].rows > supernodes[b].rows;
@@ -62,12 +62,12 @@ std::vector<std::int32_t> amalgamate(std::vector<Supernode>& supernodes,
       if (front_cost(merged, block_size) <=
           front_cost(supernodes[p], block_size) + front_cost(supernodes[c], block_size)) {
         supernodes[p] = merged;
-        holder[c] = p;
+        merged_into[c] = p;
       }
     }
   }
-  for (std::int32_t s = n - 1; s >= 0; --s) holder[s] = holder[holder[s]];
-  return holder;
+  for (std::int32_t s = n - 1; s >= 0; --s) merged_into[s] = merged_into[merged_into[s]];
+  return merged_into;
 }
 
 }  // namespace
@@ -75,22 +75,23 @@ std::vector<std::int32_t> amalgamate(std::vector<Supernode>& supernodes,
 SupernodePartition find_supernodes(const EliminationTree& tree, int block_size) {
   SupernodePartition fundamental;
   std::vector<Supernode> supernodes = find_fundamental(tree, fundamental);
-  const std::vector<std::int32_t> holder = amalgamate(supernodes, fundamental.parent, block_size);
+  const std::vector<std::int32_t> merged_into =
+      amalgamate(supernodes, fundamental.parent, block_size);
 
-  std::vector<std::int32_t> number(holder.size());
+  std::vector<std::int32_t> number(merged_into.size());
   SupernodePartition merged;
   std::int32_t kept = 0;
-  for (std::size_t s = 0; s < holder.size(); ++s) {
-    if (holder[s] == static_cast<std::int32_t>(s)) number[s] = kept++;
+  for (std::size_t s = 0; s < merged_into.size(); ++s) {
+    if (merged_into[s] == static_cast<std::int32_t>(s)) number[s] = kept++;
   }
   merged.parent.assign(kept, -1);
-  for (std::size_t s = 0; s < holder.size(); ++s) {
-    if (holder[s] != static_cast<std::int32_t>(s) || fundamental.parent[s] < 0) continue;
-    merged.parent[number[s]] = number[holder[fundamental.parent[s]]];
+  for (std::size_t s = 0; s < merged_into.size(); ++s) {
+    if (merged_into[s] != static_cast<std::int32_t>(s) || fundamental.parent[s] < 0) continue;
+    merged.parent[number[s]] = number[merged_into[fundamental.parent[s]]];
   }
   merged.of_node.resize(fundamental.of_node.size());
   for (std::size_t k = 0; k < merged.of_node.size(); ++k) {
-    merged.of_node[k] = number[holder[fundamental.of_node[k]]];
+    merged.of_node[k] = number[merged_into[fundamental.of_node[k]]];
   }
   return merged;
 }

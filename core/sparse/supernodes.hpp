@@ -9,12 +9,12 @@
 namespace masat {
 
 struct SupernodePartition {
-  std::vector<std::int32_t> of_node;  // by place in the elimination tree
+  std::vector<std::int32_t> of_node;  // by index in the elimination tree
   std::vector<std::int32_t> parent;   // greater than the child; -1 at a root
 };
 
-// Fundamental supernodes, merged with their parents where the estimated time says that the zeros
-// this stores cost less than the assembly it saves.
+// Fundamental supernodes, merged with their parents where by the estimated time the additional
+// zeros cost less than the assembly that the merge saves.
 SupernodePartition find_supernodes(const EliminationTree& tree, int block_size);
 
 }  // namespace masat

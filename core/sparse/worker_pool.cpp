@@ -5,7 +5,7 @@
 namespace masat {
 namespace {
 
-// Waiting for another thread: shortly first, then leaving the core to others.
+// Waits for another thread: spins for a short time, then leaves the core to others.
 class Backoff {
  public:
   void pause() {
@@ -31,7 +31,7 @@ WorkerPool::WorkerPool(int threads) {
   try {
     for (int rank = 1; rank < threads; ++rank) workers_.emplace_back(&WorkerPool::work, this, rank);
   } catch (const std::system_error&) {
-    // No more threads to be had: those there are do.
+    // The system has no more threads: those that were started suffice.
   }
 }
 

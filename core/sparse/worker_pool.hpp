@@ -9,8 +9,8 @@
 
 namespace masat {
 
-// The caller drives: it publishes each step and works on it; the other threads take tasks as they
-// find them. A step waits for its tasks only, never for a thread that has not come to it.
+// The calling thread publishes each step and works on it; the other threads take tasks as they find
+// them. A step waits for its tasks only, never for a thread that has not begun to work on it.
 class WorkerPool {
  public:
   explicit WorkerPool(int threads);
@@ -32,8 +32,8 @@ class WorkerPool {
     WorkerPool& pool_;
   };
 
-  // Calls f(index, rank) for each index below `count`, each on some thread, with its rank; returns
-  // when all are done. `f` must not throw.
+  // Calls f(index, rank) for each index below `count` on any of the threads, whose ranks count from
+  // the caller's 0; returns when all calls are done. `f` must not throw.
   template <class F>
   void for_each(std::int32_t count, F&& f) {
     if (count == 1 || workers_.empty()) {
@@ -55,10 +55,11 @@ class WorkerPool {
   void advance_round();
 
   std::vector<std::thread> workers_;
-  std::atomic<std::uint32_t> round_{0};  // odd in a session and at the end
+  std::atomic<std::uint32_t> round_{0};  // odd during a session and after the end
   std::atomic<bool> stop_{false};
-  // The step. The ticket holds its number above the count of the tasks not taken yet: to take one
-  // is to know that the rest is the step's.
+  // The current step. The upper half of the ticket is its number, the lower half the count of tasks
+  // that are not taken yet. Whoever takes one with the number unchanged has read the function,
+  // context and count of the same step.
   alignas(64) std::atomic<std::uint64_t> ticket_{0};
   std::atomic<std::int32_t> count_{0};
   std::atomic<Function> function_{nullptr};
@@ -66,7 +67,7 @@ class WorkerPool {
   alignas(64) std::atomic<std::int32_t> done_{0};
 };
 
-// A pool of one, within a task.
+// A pool of one thread, to be used within a task.
 struct Solo {
   int rank;
   template <class F>
