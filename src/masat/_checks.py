@@ -199,11 +199,11 @@ def edge_labels(labels: Any, count: int) -> Labels | None:
     raw = _array("labels", labels, "integers or strings")
     if raw.dtype.kind == "T":
         raw = raw.astype(np.str_)
+    if raw.shape not in ((), (count,)):
+        raise GraphError(f"labels must have shape ({count},) or be one label, got {raw.shape}")
     mixed = raw.dtype.kind == "U" and isinstance(labels, list | tuple)
     if mixed and not all(isinstance(label, str) for label in labels):
         raise GraphError("labels must be all integers or all strings")
-    if raw.shape not in ((), (count,)):
-        raise GraphError(f"labels must have shape ({count},) or be one label, got {raw.shape}")
     if raw.size == 0:
         return np.zeros(0, raw.dtype if raw.dtype.kind == "U" else np.int64)
     if raw.dtype.kind != "U":

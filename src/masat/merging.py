@@ -57,7 +57,9 @@ def merge(
         if not isinstance(part, PoseGraph):
             raise GraphError(f"graph {k} is no PoseGraph but of type {type(part).__name__}")
         if part.dimension != parts[0].dimension:
-            raise GraphError(f"graph 0 is in {parts[0].dimension}D but graph {k} in another group")
+            raise GraphError(
+                f"graph 0 is in {parts[0].dimension}D but graph {k} is in {part.dimension}D"
+            )
     shifts = _offsets(parts) if offsets is None else _given_offsets(parts, offsets)
     ids = [shifted(part.ids, shift) for part, shift in zip(parts, shifts, strict=True)]
     nodes = np.concatenate(ids)

@@ -136,10 +136,9 @@ class Structure:
         return out
 
     def share_connectivity(self, other: Structure) -> None:
-        """Take over what `other` has computed from its edge indices; they must be the same."""
+        """Take over what follows from the edge indices of `other`, which must be the same."""
         for name in ("edge_indices", "topology", "components"):
-            if name in other.__dict__:
-                self.__dict__[name] = other.__dict__[name]
+            self.__dict__[name] = getattr(other, name)
 
     def check_fixed(self, poses: Floats | None) -> None:
         """Refuse several fixed nodes of one component if nothing tells their poses."""
