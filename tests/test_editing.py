@@ -506,6 +506,7 @@ SPATIAL = PoseGraph.from_arrays([[0, 1]], [[0, 0, 0, 0, 0, 0, 1]])
     ("arguments", "message"),
     [
         (([],), "there is no graph to merge"),
+        ((path(0, 1),), "give the graphs to merge as a list"),
         (([path(0, 1), SPATIAL],), "graph 0 is in 2D but graph 1 is in 3D"),
         (([path(0, 1), "b"],), "graph 1 is no PoseGraph but of type str"),
         (([path(0, 1), path(2, HIGHEST), path(0, 1)],), "do not fit in 64 bits"),

@@ -127,9 +127,9 @@ def test_the_callers_arrays_are_copied():
     graph = PoseGraph.from_arrays(**given)
     for name, array in given.items():
         assert_array_equal(array, before[name])
-        held = getattr(graph, name).copy()
+        kept = getattr(graph, name).copy()
         array[:] = 99
-        assert_array_equal(getattr(graph, name), held)
+        assert_array_equal(getattr(graph, name), kept)
 
 
 def test_one_matrix_for_a_single_edge_is_copied_too():
@@ -324,13 +324,13 @@ NODES_AT_FAULT = [
 ]
 
 
-@pytest.mark.parametrize(("base", "changes", "place", "message"), NODES_AT_FAULT)
-def test_the_first_node_at_fault_is_named_with_its_place_in_the_input(
-    base, changes, place, message
+@pytest.mark.parametrize(("base", "changes", "index", "message"), NODES_AT_FAULT)
+def test_the_first_node_at_fault_is_named_with_its_index_in_the_input(
+    base, changes, index, message
 ):
     with pytest.raises(GraphError, match=message) as caught:
         triangle(base, **({"ids": [30, 10, 20]} | changes))
-    assert (caught.value.edge, caught.value.node) == (None, place)
+    assert (caught.value.edge, caught.value.node) == (None, index)
 
 
 ASYMMETRIC = np.array([[1, 1e-7, 0], [0, 1, 0], [0, 0, 1]])
@@ -409,7 +409,7 @@ def test_nodes_without_edges_are_components_of_their_own():
     assert_array_equal(graph.gauge, [1, 2, 5])
 
 
-def test_a_fixed_node_holds_its_component_and_the_smallest_id_holds_any_other():
+def test_the_gauge_is_the_fixed_nodes_and_the_smallest_id_of_each_other_component():
     graph = joined([[5, 9], [3, 1]], ids=[1, 2, 3, 5, 9], fixed=[9])
     assert_array_equal(graph.gauge, [1, 2, 9])
 
@@ -435,7 +435,7 @@ def test_repeated_edges_are_measurements_of_their_own():
     assert_array_equal(graph.measurements[:, 0], [1, 2, 3])
 
 
-def test_index_gives_the_places_of_ids_in_any_shape():
+def test_index_gives_the_indices_of_ids_in_any_shape():
     graph = triangle()
     assert graph.index(20) == 1
     assert_array_equal(graph.index([[30, 10], [10, 10]]), [[2, 0], [0, 0]])
@@ -454,7 +454,7 @@ def test_index_takes_integers_only(ids):
         triangle().index(ids)
 
 
-def test_with_poses_changes_the_poses_of_a_copy_alone():
+def test_with_poses_changes_only_the_poses_of_a_copy():
     graph = triangle(poses=POSES, fixed=[20], information=np.diag([1, 2, 3]))
     moved = graph.with_poses(np.add(POSES, 1))
     assert_array_equal(moved.poses, np.add(POSES, 1))
