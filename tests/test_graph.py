@@ -1,4 +1,5 @@
 from dataclasses import FrozenInstanceError
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -126,9 +127,9 @@ def test_the_callers_arrays_are_copied():
     graph = PoseGraph.from_arrays(**given)
     for name, array in given.items():
         assert_array_equal(array, before[name])
-        held = getattr(graph, name).copy()
+        kept = getattr(graph, name).copy()
         array[:] = 99
-        assert_array_equal(getattr(graph, name), held)
+        assert_array_equal(getattr(graph, name), kept)
 
 
 def test_one_matrix_for_a_single_edge_is_copied_too():
@@ -212,6 +213,86 @@ def test_what_makes_no_graph_is_refused_with_its_reason(base, changes, message):
         triangle(base, **changes)
 
 
+MASKED = np.ma.array([[1.0, 2, 0.5], [3, 4, -0.5], [5, 6, 4]])
+MASKED[1, 2] = np.ma.masked
+MASKED_IDS = np.ma.array([[10, 20], [20, 30], [30, 10]])
+MASKED_IDS[2, 0] = np.ma.masked
+MASKED_INFORMATION = np.ma.array([np.eye(3)] * 3)
+MASKED_INFORMATION[2, 1, 1] = np.ma.masked
+FRACTIONS = [[Fraction(1, 2), 0, 0]] * 3
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        # Imaginary parts, also those that are zero.
+        ({"measurements": np.ones((3, 3), complex)}, "measurements must be numbers, got complex"),
+        ({"poses": np.ones((3, 3), complex)}, "poses must be numbers, got complex numbers"),
+        ({"information": np.eye(3) + 0j}, "information must be numbers, got complex numbers"),
+        ({"edges": np.array(EDGES, complex)}, "edges must be integers .* complex numbers"),
+        # Masks.
+        ({"measurements": MASKED}, "row 1 of measurements is masked: fill it in or leave it out"),
+        ({"measurements": list(MASKED)}, "row 1 of measurements is masked"),
+        ({"poses": MASKED}, "row 1 of poses is masked"),
+        ({"edges": MASKED_IDS}, "row 2 of edges is masked"),
+        ({"ids": np.ma.array([10, 20, 30], mask=[1, 0, 0])}, "row 0 of ids is masked"),
+        ({"fixed": np.ma.array([10], mask=[1])}, "row 0 of fixed is masked"),
+        ({"fixed": np.ma.masked}, "fixed is masked"),
+        ({"information": MASKED_INFORMATION}, "row 2 of information is masked"),
+        # What is neither a number nor an integer.
+        ({"measurements": np.array(FRACTIONS)}, r"got an object such as Fraction\(1, 2\)"),
+        ({"measurements": np.array(MASKED, object)}, "measurements must be numbers, got an object"),
+        ({"measurements": [["1", "2", "3"]] * 3}, "measurements must be numbers, got strings"),
+        ({"measurements": np.ones((3, 3), bool)}, "measurements must be numbers, got booleans"),
+        ({"measurements": [[1, 2, None]] * 3}, "measurements must be numbers, got an object"),
+        ({"measurements": None}, "measurements must be numbers, got an object such as None"),
+        ({"poses": np.zeros((3, 3), "M8[s]")}, "poses must be numbers, got dates"),
+        ({"edges": np.array(EDGES, object)}, "edges must be integers .* an object such as 10"),
+        ({"edges": [[None, 1]] * 3}, "edges must be integers .* an object such as None"),
+        ({"edges": "abc"}, "edges must be integers .* strings"),
+        ({"ids": [True, False, True]}, "ids must be integers .* booleans"),
+        ({"ids": [np.nan, 20, 30]}, "ids must be integers .* float64"),
+        ({"ids": ["10", "20", "30"]}, "ids must be integers .* strings"),
+        # Lists of different lengths.
+        ({"measurements": [[1, 2, 3], [4, 5, 6], [7, 8]]}, "row 2 is not as long as row 0"),
+        ({"poses": [[1, 2, 3], [4, 5], [7, 8, 9]]}, "poses must be .*row 1 is not as long"),
+        ({"edges": [[1, 2], [3], [4, 5]]}, "edges must be integers: row 1 is not as long"),
+        ({"information": [np.eye(3), np.eye(2), np.eye(3)]}, "row 1 is not as long as row 0"),
+    ],
+)
+def test_values_that_are_no_numbers_are_refused_in_one_clear_sentence(changes, message):
+    with pytest.raises(GraphError, match=message):
+        triangle(PLANAR, **changes)
+
+
+def test_masked_arrays_without_masked_entries_are_taken():
+    graph = triangle(measurements=np.ma.array(PLANAR["measurements"], mask=False))
+    assert_array_equal(graph.measurements, PLANAR["measurements"])
+    assert type(graph.measurements) is np.ndarray
+
+
+@pytest.mark.parametrize("poses", [None, [[0, 0, 0, 0, 0, 0, 1]] * 2])
+def test_no_measurements_of_seven_columns_make_a_spatial_graph(poses):
+    graph = PoseGraph.from_arrays([], np.zeros((0, 7)), ids=[3, 7], poses=poses)
+    assert graph.dimension == 3
+    assert graph.measurements.shape == (0, 7)
+    assert graph.information.shape == (0, 6, 6)
+
+
+@pytest.mark.parametrize(
+    ("measurements", "poses", "message"),
+    [
+        (np.zeros((0, 7)), np.zeros((2, 3)), r"poses must have shape \(2, 7\).* got \(2, 3\)"),
+        (np.zeros((0, 3)), [[0, 0, 0, 0, 0, 0, 1]] * 2, r"poses must have shape \(2, 3\)"),
+        (np.zeros((0, 5)), None, r"measurements must have shape .*, got \(0, 5\)"),
+        ([], np.zeros((2, 4)), r"measurements must have shape .*, got \(0, 4\)"),
+    ],
+)
+def test_no_measurements_and_poses_of_another_group_are_refused(measurements, poses, message):
+    with pytest.raises(GraphError, match=message):
+        PoseGraph.from_arrays([], measurements, ids=[3, 7], poses=poses)
+
+
 EDGES_AT_FAULT = [
     (PLANAR, {"edges": [[1, 2], [2, 2], [3, 3]]}, 1, "edge 1 joins node 2 to itself"),
     (PLANAR, {"ids": [10, 20]}, 1, r"edge 1 \(20 -> 30\) names node 30, which is not among"),
@@ -243,13 +324,13 @@ NODES_AT_FAULT = [
 ]
 
 
-@pytest.mark.parametrize(("base", "changes", "place", "message"), NODES_AT_FAULT)
-def test_the_first_node_at_fault_is_named_with_its_place_in_the_input(
-    base, changes, place, message
+@pytest.mark.parametrize(("base", "changes", "index", "message"), NODES_AT_FAULT)
+def test_the_first_node_at_fault_is_named_with_its_index_in_the_input(
+    base, changes, index, message
 ):
     with pytest.raises(GraphError, match=message) as caught:
         triangle(base, **({"ids": [30, 10, 20]} | changes))
-    assert (caught.value.edge, caught.value.node) == (None, place)
+    assert (caught.value.edge, caught.value.node) == (None, index)
 
 
 ASYMMETRIC = np.array([[1, 1e-7, 0], [0, 1, 0], [0, 0, 1]])
@@ -328,7 +409,7 @@ def test_nodes_without_edges_are_components_of_their_own():
     assert_array_equal(graph.gauge, [1, 2, 5])
 
 
-def test_a_fixed_node_holds_its_component_and_the_smallest_id_holds_any_other():
+def test_the_gauge_is_the_fixed_nodes_and_the_smallest_id_of_each_other_component():
     graph = joined([[5, 9], [3, 1]], ids=[1, 2, 3, 5, 9], fixed=[9])
     assert_array_equal(graph.gauge, [1, 2, 9])
 
@@ -354,7 +435,7 @@ def test_repeated_edges_are_measurements_of_their_own():
     assert_array_equal(graph.measurements[:, 0], [1, 2, 3])
 
 
-def test_index_gives_the_places_of_ids_in_any_shape():
+def test_index_gives_the_indices_of_ids_in_any_shape():
     graph = triangle()
     assert graph.index(20) == 1
     assert_array_equal(graph.index([[30, 10], [10, 10]]), [[2, 0], [0, 0]])
@@ -373,7 +454,7 @@ def test_index_takes_integers_only(ids):
         triangle().index(ids)
 
 
-def test_with_poses_changes_the_poses_of_a_copy_alone():
+def test_with_poses_changes_only_the_poses_of_a_copy():
     graph = triangle(poses=POSES, fixed=[20], information=np.diag([1, 2, 3]))
     moved = graph.with_poses(np.add(POSES, 1))
     assert_array_equal(moved.poses, np.add(POSES, 1))

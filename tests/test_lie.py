@@ -148,7 +148,7 @@ def test_headings_of_many_turns_are_brought_into_the_interval_too(theta):
     assert_headings_in_range([0, 0, theta], [0, 0, 0.5])
 
 
-def test_sines_and_cosines_are_right_to_two_units_in_the_last_place():
+def test_sines_and_cosines_are_right_to_two_units_in_the_last_index():
     rng = np.random.default_rng(1)
     quarters = np.arange(-70_000, 70_000) * (PI / 2)
     tiny = 10.0 ** -np.arange(300)
@@ -227,7 +227,7 @@ def test_a_vector_part_longer_than_one_is_the_half_turn_about_it():
 
 
 @pytest.mark.parametrize(("dimension", "pose"), [(2, [0, 0, 0]), (3, [0, 0, 0, 0, 0, 0, 1])])
-def test_the_identity_stands_at_the_origin_unturned(dimension, pose):
+def test_the_identity_is_the_origin_without_rotation(dimension, pose):
     assert_array_equal(lie.identity(dimension), pose)
 
 
@@ -251,8 +251,8 @@ def test_leading_axes_broadcast(operation, size, first, second, together):
     result = operation(a, b)
     wide_a, wide_b = np.broadcast_to(a, (*together, size)), np.broadcast_to(b, (*together, size))
     assert result.shape[:-1] == together
-    for place in np.ndindex(together):
-        assert_array_equal(result[place], operation(wide_a[place], wide_b[place]))
+    for index in np.ndindex(together):
+        assert_array_equal(result[index], operation(wide_a[index], wide_b[index]))
 
 
 @pytest.mark.parametrize("size", [3, 7])

@@ -175,7 +175,7 @@ def test_a_saved_result_keeps_labels_and_the_chosen_root(tmp_path):
     assert locked_names(loaded, ["gauge", "poses"]) == []
 
 
-def test_a_structure_alone_can_be_pickled():
+def test_a_structure_can_be_pickled_without_its_graph():
     structure = used(labelled()).structure
     other = pickle.loads(pickle.dumps(structure))
     assert isinstance(other, Structure)

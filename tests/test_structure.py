@@ -35,7 +35,7 @@ def test_entries_and_operations_are_those_of_the_factor():
     assert order.operations(2) == 2 * (4**2 + 3**2) + 2**2 + 1**2
 
 
-def test_a_bad_order_is_counted_as_such():
+def test_a_bad_order_costs_more_operations():
     # A star: to begin with the hub joins all the others.
     star = PoseGraph.from_arrays([(0, k) for k in range(1, 6)], [(1, 0, 0)] * 5)
     nothing = np.zeros(6, bool)
@@ -94,7 +94,7 @@ def parts(**more):
     return PoseGraph.from_arrays(PARTS, [[1, 0, 0]] * len(PARTS), **more)
 
 
-def test_graphs_that_differ_in_poses_alone_share_one_structure():
+def test_graphs_that_differ_only_in_poses_share_one_structure():
     graph = parts()
     moved = graph.with_poses(np.zeros((7, 3)), notes=["moved"])
     without = replace(moved, poses=None)
@@ -135,7 +135,7 @@ def test_a_root_is_the_gauge_fixed_node_of_its_component():
     assert rooted.with_poses(np.zeros((7, 3))).gauge.tolist() == [3, 4, 9]
 
 
-def test_a_second_root_replaces_that_of_its_component_alone():
+def test_a_second_root_replaces_only_that_of_its_component():
     graph = parts().with_root(9).with_root(7).with_root(5)
     assert graph.gauge.tolist() == [3, 5, 7]
     assert parts().with_root([7, 5]).gauge.tolist() == [3, 5, 7]
@@ -182,9 +182,9 @@ def test_each_component_has_its_fixed_nodes_or_one_other_in_the_gauge(cuts, fixe
     assert graph.elimination.free_nodes().tolist() == free
 
 
-def test_a_structure_alone_holds_all_that_follows_from_the_edges():
+def test_a_structure_needs_no_graph():
     graph = parts(fixed=[9])
-    alone = Structure(graph.ids, graph.edges, graph.fixed, graph.dof)
-    assert alone.edge_indices.tolist() == graph.edge_indices.tolist()
-    assert alone.gauge.tolist() == graph.gauge.tolist()
-    assert alone.index([9, 2]).tolist() == [6, 0]
+    structure = Structure(graph.ids, graph.edges, graph.fixed, graph.dof)
+    assert structure.edge_indices.tolist() == graph.edge_indices.tolist()
+    assert structure.gauge.tolist() == graph.gauge.tolist()
+    assert structure.index([9, 2]).tolist() == [6, 0]

@@ -14,7 +14,7 @@ from masat.information import indefinite
 # Quaternions in files are off unit length by the rounding of their decimals, which is far less.
 _MAX_LENGTH_ERROR = 1e-2
 _UNIT_TO_ROUNDING = 1e-14
-# As long as a tag in a file may sensibly be; it bounds the memory, 4 bytes a character and edge.
+# NumPy pads each string to the longest, with 4 bytes a character: this bounds the memory.
 _MAX_LABEL_LENGTH = 64
 _NAMES_OF_KINDS = {
     "b": "booleans",
@@ -129,7 +129,7 @@ def no_loops(pairs: Ids) -> None:
 
 
 def rotations(poses: Floats, what: str, names: Ids, kind: str) -> Floats:
-    """Refuse poses that are not finite or no poses; normalize their quaternions in place."""
+    """Return the poses, normalized in place; refuse what is not finite or far from unit length."""
 
     def refuse(row: int, why: str) -> None:
         if kind == "edge":
@@ -199,11 +199,11 @@ def edge_labels(labels: Any, count: int) -> Labels | None:
     raw = _array("labels", labels, "integers or strings")
     if raw.dtype.kind == "T":
         raw = raw.astype(np.str_)
+    if raw.shape not in ((), (count,)):
+        raise GraphError(f"labels must have shape ({count},) or be one label, got {raw.shape}")
     mixed = raw.dtype.kind == "U" and isinstance(labels, list | tuple)
     if mixed and not all(isinstance(label, str) for label in labels):
         raise GraphError("labels must be all integers or all strings")
-    if raw.shape not in ((), (count,)):
-        raise GraphError(f"labels must have shape ({count},) or be one label, got {raw.shape}")
     if raw.size == 0:
         return np.zeros(0, raw.dtype if raw.dtype.kind == "U" else np.int64)
     if raw.dtype.kind != "U":
@@ -273,7 +273,7 @@ def _first_uneven(rows: Any) -> int | None:
 
 
 def _contents(raw: AnyArray) -> str:
-    """Say what an array holds in place of numbers."""
+    """Say what an array holds that should hold numbers."""
     if raw.dtype.kind == "O":
         return f"an object such as {raw.flat[0]!r:.40}"
     return _NAMES_OF_KINDS.get(raw.dtype.kind, str(raw.dtype))

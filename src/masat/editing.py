@@ -200,7 +200,7 @@ def _with_rest_placed(
 
 
 def _with_rows(graph: PoseGraph, edges: Flags, nodes: Flags | None = None) -> PoseGraph:
-    """Return the graph with these edges and nodes alone."""
+    """Return the graph with only these edges and nodes."""
     old = graph.structure
     structure = Structure(
         old.ids if nodes is None else old.ids[nodes],

@@ -51,8 +51,8 @@ class PoseGraph:
     labels : ndarray of int64 or str, (m,), or None
         A label for each edge.
     structure : Structure
-        What follows from the ids, edges and fixed nodes alone. Graphs that differ in poses or
-        measurements share one.
+        The connectivity, the gauge and the elimination order, which depend only on ids, edges and
+        fixed nodes. Graphs that differ in nothing else share one structure.
     """
 
     ids: Ids

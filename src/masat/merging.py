@@ -1,4 +1,4 @@
-"""Several graphs, such as the sessions of one robot, made one."""
+"""Merging graphs, for example the sessions of one robot, into one graph."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def merge(
     """Return one graph with the nodes and edges of several, and edges between them.
 
     Nodes are never identified with each other. The first graph keeps its ids. Those of each next
-    graph are shifted such that its smallest id follows the largest id before it: of two graphs, by
-    ``graphs[0].ids[-1] + 1 - graphs[1].ids[0]``.
+    graph are shifted so that its smallest id is one above the largest id before it. The shift of
+    the second graph is ``graphs[0].ids[-1] + 1 - graphs[1].ids[0]``.
 
     Parameters
     ----------
@@ -50,6 +50,8 @@ def merge(
         If an id occurs in two graphs after the shift, if 2D and 3D graphs are mixed, or if the
         edges between them fail the checks of `PoseGraph.with_edges`.
     """
+    if isinstance(graphs, PoseGraph):
+        raise GraphError("give the graphs to merge as a list")
     parts = list(graphs)
     if not parts:
         raise GraphError("there is no graph to merge")
@@ -57,7 +59,9 @@ def merge(
         if not isinstance(part, PoseGraph):
             raise GraphError(f"graph {k} is no PoseGraph but of type {type(part).__name__}")
         if part.dimension != parts[0].dimension:
-            raise GraphError(f"graph 0 is in {parts[0].dimension}D but graph {k} in another group")
+            raise GraphError(
+                f"graph 0 is in {parts[0].dimension}D but graph {k} is in {part.dimension}D"
+            )
     shifts = _offsets(parts) if offsets is None else _given_offsets(parts, offsets)
     ids = [shifted(part.ids, shift) for part, shift in zip(parts, shifts, strict=True)]
     nodes = np.concatenate(ids)

@@ -1,4 +1,4 @@
-"""What follows from the ids, edges and fixed nodes of a graph, at whatever poses."""
+"""The part of a graph that depends only on its ids, edges and fixed nodes."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _MIN_DISSECTED_OPERATIONS = 3e5
 class Structure:
     """The connectivity of a graph, and the order in which its linear systems are solved.
 
-    It depends on the ids, the edges and the fixed nodes alone, so all graphs that differ in their
-    poses or measurements share one. Each property is computed on first use and then kept. Pickles
-    hold only the arrays below; the properties are computed again on first use.
+    It depends only on the ids, the edges and the fixed nodes. Graphs that differ in poses or
+    measurements share one structure. Each property is computed on first use and then kept. A pickle
+    holds only the arrays below, and the properties are computed again when they are needed.
 
     Parameters
     ----------
@@ -136,10 +136,9 @@ class Structure:
         return out
 
     def share_connectivity(self, other: Structure) -> None:
-        """Take over what `other` has computed from its edge indices; they must be the same."""
+        """Take over what follows from the edge indices of `other`, which must be the same."""
         for name in ("edge_indices", "topology", "components"):
-            if name in other.__dict__:
-                self.__dict__[name] = other.__dict__[name]
+            self.__dict__[name] = getattr(other, name)
 
     def check_fixed(self, poses: Floats | None) -> None:
         """Refuse several fixed nodes of one component if nothing tells their poses."""
