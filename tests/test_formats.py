@@ -1,4 +1,5 @@
 import gzip
+import locale
 import random
 import re
 
@@ -6,6 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from records import EDGE, MATRIX_2D, UNIT_2D, UNIT_3D, WORLD
+
+from masat import FormatError, write
 
 H = np.sqrt(0.5)
 # Every entry different: the order of the numbers shows.
@@ -209,6 +212,59 @@ def test_layout_compression_and_file_name_do_not_change_the_graph(read, variant,
 def test_numbers_below_the_smallest_double_are_zero(read):
     graph = read(f"EDGE_SE2 0 1 1e-400 -1e-999 +2e-9999 {UNIT_2D}\n")
     assert_array_equal(graph.measurements, [[0, 0, 0]])
+
+
+COMMA_LOCALES = ["de_DE.UTF-8", "fr_FR.UTF-8", "nl_NL.UTF-8", "pl_PL.UTF-8", "de_DE", "German"]
+
+
+@pytest.fixture
+def comma_locale():
+    """Write decimals with a comma in C, as strtod and printf do in many countries."""
+    before = locale.setlocale(locale.LC_NUMERIC)
+    for name in COMMA_LOCALES:
+        try:
+            locale.setlocale(locale.LC_NUMERIC, name)
+        except locale.Error:
+            continue
+        if locale.localeconv()["decimal_point"] == ",":
+            break
+    else:
+        pytest.skip("no locale with a decimal comma is installed")
+    yield
+    locale.setlocale(locale.LC_NUMERIC, before)
+
+
+def test_numbers_do_not_depend_on_the_locale(read, comma_locale, tmp_path):
+    # strtod of this locale stops at the point.
+    words = ["1.5e-400", "0.30000000000000004", "1.5e-310", "+1.25", "-2.5e10", "1.5"]
+    graph = read(f"{' '.join(words[:3])}\n{' '.join(words[3:])}\n")
+    assert graph.poses.ravel().tolist() == [float(word) for word in words]
+    with pytest.raises(FormatError, match="'1.5e400' is too large a number"):
+        read("0 0 1.5e400\n")
+    with pytest.raises(FormatError, match="found '1,5' where a number belongs"):
+        read("0 0 1,5\n", format="trajectory")
+    write(graph, tmp_path / "graph.g2o")
+    assert (tmp_path / "graph.g2o").read_text() == (
+        "VERTEX_SE2 0 0 0.30000000000000004 1.5e-310\nVERTEX_SE2 1 1.25 -2.5e+10 1.5\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [
+        ("2.4703282292062328e-324", 5e-324),  # just above half of the smallest double
+        ("2.4703282292062327e-324", 0),  # just below it
+        ("2.2250738585072011e-308", 2.225073858507201e-308),  # between subnormal and normal
+        ("1.7976931348623158e308", 1.7976931348623157e308),  # rounds down to the largest double
+        ("9007199254740993", 9007199254740992),  # halfway: to even
+        ("0." + 400 * "0" + "1", 0),
+        ("1" + 400 * "0" + "e-400", 1),
+        ("1." + 5000 * "0" + "1", 1),
+        ("+1", 1),
+    ],
+)
+def test_numbers_at_the_limits_of_a_double(read, word, value):
+    assert read(f"{word} 0 0\n").poses[0, 0] == value == float(word)
 
 
 def test_numbers_are_read_to_the_nearest_double(read):
