@@ -172,7 +172,10 @@ def test_indefinite_information_is_counted_and_the_first_line_named(read):
     with pytest.raises(FormatError, match=message) as caught:
         read("# two bad ones\n" + INDEFINITE)
     assert caught.value.line == 3
-    assert 'indefinite="nearest" or indefinite="identity"' in str(caught.value)
+    assert str(caught.value).endswith(
+        'to repair them, choose "nearest" or "identity" (indefinite="nearest" in Python, '
+        "--indefinite nearest on the command line)"
+    )
 
 
 def test_the_nearest_positive_definite_information_is_taken_where_asked_for(read_with_notes):
@@ -191,7 +194,9 @@ def test_the_identity_is_taken_for_every_edge_where_asked_for(read_with_notes):
     graph = read_with_notes(INDEFINITE, indefinite="identity")
     assert_array_equal(graph.information, [np.eye(3)] * 3)
     (note,) = graph.notes
-    assert note.startswith("2 information matrices are not positive definite: so every edge")
+    assert note.startswith(
+        "2 information matrices are not positive definite: every edge has the identity"
+    )
 
 
 @pytest.mark.parametrize("indefinite", ["nearest", "identity"])

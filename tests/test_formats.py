@@ -61,7 +61,7 @@ def test_g2o_edges_in_space_without_information_get_the_identity_and_a_note(read
         "EDGE_SE3:QUAT 2 3 1 2 3 0 0 0 1 # none\n"
     )
     assert_array_equal(graph.information, [np.eye(6), MATRIX_3D, np.eye(6)])
-    assert graph.notes == ("2 edges have no information: identity taken",)
+    assert graph.notes == ("2 edges have no information: assumed the identity",)
 
 
 def test_rounded_quaternions_are_normalized(read):
@@ -127,7 +127,7 @@ def test_isam_in_space_lists_the_square_root_for_roll_pitch_and_yaw(read):
     assert_allclose(graph.measurements, [[1, 2, 3, 0, 0, H, H]], atol=1e-15)
 
 
-def test_odometry_settles_that_edge2_is_that_of_isam(read):
+def test_with_odometry_edge2_is_that_of_isam(read):
     graph = read("ODOMETRY 0 1 1 0 0 2 0 0 3 0 4\nEDGE2 1 0 1 0 0 2 0 0 3 0 4\n")
     assert_array_equal(graph.information, [np.diag([4, 9, 16])] * 2)
 
@@ -136,7 +136,10 @@ def test_edge2_alone_is_read_as_isam_with_a_note_that_it_may_be_toro(read, read_
     text = "EDGE2 0 1 1 2 0.5 2 1 3 4 5 6\n"
     graph = read_with_notes(text)
     assert_array_equal(graph.information, read(text, format="isam").information)
-    assert graph.notes == ('the tags fit isam and toro: read as isam; choose with format="toro"',)
+    assert graph.notes == (
+        "the tags fit isam and toro: read as isam; if it is toro, name the format "
+        '(format="toro" in Python, --format toro on the command line)',
+    )
 
 
 def test_the_format_asked_for_is_taken_without_a_note(read):
@@ -239,7 +242,7 @@ def test_numbers_do_not_depend_on_the_locale(read, comma_locale, tmp_path):
     words = ["1.5e-400", "0.30000000000000004", "1.5e-310", "+1.25", "-2.5e10", "1.5"]
     graph = read(f"{' '.join(words[:3])}\n{' '.join(words[3:])}\n")
     assert graph.poses.ravel().tolist() == [float(word) for word in words]
-    with pytest.raises(FormatError, match="'1.5e400' is too large a number"):
+    with pytest.raises(FormatError, match=r"'1\.5e400' is too large a number"):
         read("0 0 1.5e400\n")
     with pytest.raises(FormatError, match="found '1,5' where a number belongs"):
         read("0 0 1,5\n", format="trajectory")
@@ -288,16 +291,23 @@ def test_every_decimal_is_read_as_python_reads_it(read):
     assert_array_equal(poses.view(np.uint64), expected.view(np.uint64))
 
 
-def test_unknown_tags_are_passed_over_with_one_note_each(read, read_with_notes):
+def test_unknown_tags_are_skipped_with_one_note_each(read, read_with_notes):
     graph = read_with_notes(
         "PARAMS_SE2OFFSET 0 0 0 0\n" + WORLD + "EQUIV 0 1\n# EQUIV 7 8\nequiv\nEQUIV a b\n"
     )
     assert graph.notes == (
-        "1 lines with the unknown tag PARAMS_SE2OFFSET passed over (first: line 1)",
-        "2 lines with the unknown tag EQUIV passed over (first: line 8)",
-        "1 lines with the unknown tag equiv passed over (first: line 10)",
+        "1 line with the unknown tag PARAMS_SE2OFFSET skipped (first: line 1)",
+        "2 lines with the unknown tag EQUIV skipped (first: line 8)",
+        "1 line with the unknown tag equiv skipped (first: line 10)",
     )
     assert_array_equal(graph.measurements, read(WORLD).measurements)
+
+
+def test_the_first_ten_unknown_tags_have_notes_of_their_own(read_with_notes):
+    graph = read_with_notes(EDGE + "".join(f"TAG{k} 1\n" for k in range(12)) + "TAG11 2\n")
+    assert len(graph.notes) == 11
+    assert graph.notes[9] == "1 line with the unknown tag TAG9 skipped (first: line 11)"
+    assert graph.notes[10] == "3 lines with 2 more unknown tags skipped"
 
 
 @pytest.mark.parametrize(

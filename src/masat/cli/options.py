@@ -9,13 +9,23 @@ from typing import Any, TypeVar
 import click
 
 from masat.errors import MasatError
+from masat.files import resolve_target
 from masat.formats import FORMATS, read
+from masat.formats.text import MAX_BYTES
 from masat.graph import PoseGraph
 from masat.initializers import INITIALIZERS
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 OPTIMIZER_NAMES = {"gn": "gauss_newton", "lm": "levenberg_marquardt", "dogleg": "dogleg"}
+
+
+_MAX_BYTES = "masat.max_bytes"
+
+
+def _set_max_bytes(context: click.Context, parameter: click.Parameter, value: int) -> None:
+    """Keep the limit for `load`, so that no command has to pass it on."""
+    context.meta[_MAX_BYTES] = value
 
 
 def graph_file(command: F) -> F:
@@ -35,6 +45,15 @@ def graph_file(command: F) -> F:
             type=click.Choice(list(FORMATS)),
             help="Format of FILE, where its tags leave it open (EDGE2: iSAM's or TORO's).",
         ),
+        click.option(
+            "--max-bytes",
+            type=click.IntRange(min=1),
+            default=MAX_BYTES,
+            show_default=True,
+            expose_value=False,
+            callback=_set_max_bytes,
+            help="Largest size of FILE's text, decompressed.",
+        ),
         click.argument("file", type=click.Path(path_type=Path)),
     ):
         command = option(command)
@@ -43,7 +62,8 @@ def graph_file(command: F) -> F:
 
 def load(file: Path, file_format: str | None, indefinite: Any, quiet: bool) -> PoseGraph:
     """Read FILE and tell its notes."""
-    graph = read(file, format=file_format, indefinite=indefinite)
+    max_bytes = click.get_current_context().meta[_MAX_BYTES]
+    graph = read(file, format=file_format, indefinite=indefinite, max_bytes=max_bytes)
     if not quiet:
         notes(graph.notes)
     return graph
@@ -119,6 +139,7 @@ def check_writable(target: Path | None, source: Path | None = None) -> None:
         return
     if source is not None and target.exists() and source.exists() and target.samefile(source):
         raise MasatError(f"{target}: is the input, which is never changed; choose another name")
+    resolve_target(target)  # refuses a loop of symbolic links
     if not target.parent.is_dir():
         raise MasatError(f"{target}: its folder does not exist")
     if target.is_dir():
