@@ -19,8 +19,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 OPTIMIZER_NAMES = {"gn": "gauss_newton", "lm": "levenberg_marquardt", "dogleg": "dogleg"}
 
-
-_MAX_BYTES = "masat.max_bytes"
+_MAX_BYTES = "masat.max_bytes"  # key of the context's notes
 
 
 def _set_max_bytes(context: click.Context, parameter: click.Parameter, value: int) -> None:
@@ -62,7 +61,7 @@ def graph_file(command: F) -> F:
 
 def load(file: Path, file_format: str | None, indefinite: Any, quiet: bool) -> PoseGraph:
     """Read FILE and tell its notes."""
-    max_bytes = click.get_current_context().meta[_MAX_BYTES]
+    max_bytes = click.get_current_context().meta.get(_MAX_BYTES, MAX_BYTES)
     graph = read(file, format=file_format, indefinite=indefinite, max_bytes=max_bytes)
     if not quiet:
         notes(graph.notes)
