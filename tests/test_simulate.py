@@ -56,7 +56,7 @@ def test_noise_may_be_given_number_by_number(simulate):
     assert np.array_equal(one, other)
 
 
-def test_it_speaks_json_and_draws(simulate, tmp_path):
+def test_it_prints_json_and_draws(simulate, tmp_path):
     code, text, _ = simulate("torus", "-o", "t.g2o", "--nodes", 200, "--plot", "t.png", "--json")
     assert code == 0
     said = json.loads(text)

@@ -73,13 +73,13 @@ def test_a_small_world_has_what_closures_it_offers(name, nodes):
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_every_start_returns_the_truth_of_a_world(name):
+def test_every_initializer_returns_the_truth_of_a_world(name):
     world = WORLDS[name](500, 800, seed=1)
     truth = lie.between(world.poses[0], world.poses)
-    for start in INITIALIZERS:
-        if start == "lago" and world.dimension == 3:
+    for init in INITIALIZERS:
+        if init == "lago" and world.dimension == 3:
             continue
-        guess = masat.initialize(world, start).poses
+        guess = masat.initialize(world, init).poses
         assert np.abs(lie.local(truth, lie.between(guess[0], guess))).max() < 1e-9
 
 
@@ -282,10 +282,10 @@ def test_blocks_longer_than_the_drive_take_no_memory():
     assert (world.poses == city(10, 9, block=9).poses).all()
 
 
-def test_planar_noise_is_refused_on_a_spatial_graph():
-    spatial = PoseGraph.from_arrays([(0, 1)], [(1, 0, 0, 0, 0, 0, 1)])
+def test_noise_for_2d_is_refused_on_a_3d_graph():
+    graph = PoseGraph.from_arrays([(0, 1)], [(1, 0, 0, 0, 0, 0, 1)])
     with pytest.raises(GraphError, match="2D graph has 3 sigmas"):
-        perturb(spatial, (0.1, 0.1, 0.1))
+        perturb(graph, (0.1, 0.1, 0.1))
 
 
 def test_planar_noise_is_that_of_the_plain_formula():

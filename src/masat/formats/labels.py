@@ -29,11 +29,11 @@ def label_texts(labels: Ids | NDArray[np.str_]) -> list[str]:
 def read_labels(texts: Sequence[bytes]) -> Ids | NDArray[np.str_]:
     """Return the labels of texts, (m,): int64 if all are integers, otherwise strings.
 
-    An edge without a label, whose text is empty, has the string "".
+    An edge without a label, whose text is empty, gets -1 among integers and "" among strings.
     """
     words = [text.decode("utf-8", "replace") for text in texts]
-    if all(map(_is_integer, words)):
-        return np.array([int(word) for word in words], np.int64)
+    if all(word == "" or _is_integer(word) for word in words):
+        return np.array([int(word or -1) for word in words], np.int64)
     return np.array([_unquoted(word) for word in words], np.str_)
 
 
