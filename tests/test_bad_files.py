@@ -1,4 +1,6 @@
 import gzip
+import os
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from records import COVARIANCE, EDGE, MATRIX_2D, UNIT_2D, UNIT_3D, WORLD
 from masat import FormatError, GraphError, MasatError, MasatWarning
 from masat.formats import FORMATS
 from masat.formats import read as read_file
+from masat.formats.text import load_text
 
 MALFORMED = {
     "a cut edge": ("EDGE_SE2 0 1 1 2\n", 1, "from to x y theta .* ends after 2 of 3 numbers"),
@@ -42,6 +45,10 @@ MALFORMED = {
     "an infinity as 1.#INF": ("VERTEX_SE2 0 1 2 1.#INF\n", 1, "1.#INF"),
     "an infinite information": ("EDGE_SE2 0 1 1 2 3 1 0 0 1 0 inf\n", 1, "not finite"),
     "a number too large": ("VERTEX_SE2 0 1 -1e999 3\n", 1, "'-1e999' is too large"),
+    "a number just too large": ("VERTEX_SE2 0 1 1.7976931348623159e308 3\n", 1, "is too large"),
+    "a number of 400 digits": ("VERTEX_SE2 0 1 " + 400 * "9" + " 3\n", 1, "'9{40}...' is too larg"),
+    "a plus sign before inf": ("VERTEX_SE2 0 1 +Infinity 3\n", 1, "not finite"),
+    "a hexadecimal exponent": ("VERTEX_SE2 0 1 0x1p3 3\n", 1, "found '0x1p3' where a number"),
     "an id too large": ("VERTEX_SE2 9223372036854775808 1 2 3\n", 1, "does not fit in 64 bits"),
     "an id too small": ("FIX -9223372036854775809\n" + EDGE, 1, "does not fit in 64 bits"),
     "a decimal id": ("EDGE_SE2 0 1.0 1 2 3 1 0 0 1 0 1\n", 1, "found '1.0' where an integer id"),
@@ -133,12 +140,12 @@ def test_no_record_of_the_format_asked_for_is_an_error(read):
 
 
 def test_a_format_that_does_not_exist_is_refused_with_those_that_do(read):
-    with pytest.raises(ValueError, match="unknown format 'g20'; known: " + ", ".join(FORMATS)):
+    with pytest.raises(FormatError, match="unknown format 'g20'; known: " + ", ".join(FORMATS)):
         read(WORLD, format="g20")
 
 
 def test_a_repair_that_does_not_exist_is_refused_with_those_that_do(read):
-    with pytest.raises(ValueError, match='"error", "nearest" or "identity", got \'zero\''):
+    with pytest.raises(FormatError, match='"error", "nearest" or "identity", got \'zero\''):
         read(WORLD, indefinite="zero")
 
 
@@ -147,6 +154,76 @@ def test_a_file_that_cannot_be_opened_is_the_error_of_the_system(tmp_path):
         read_file(tmp_path / "missing.g2o")
     with pytest.raises(IsADirectoryError):
         read_file(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes on this system")
+def test_pipes_and_devices_are_refused_unread(tmp_path):
+    pipe = tmp_path / "pipe.g2o"
+    os.mkfifo(pipe)
+    with pytest.raises(FormatError, match=r"pipe\.g2o: a pipe, expected a regular file"):
+        read_file(pipe)
+    with pytest.raises(FormatError, match="/dev/zero: a device or socket, expected a regular"):
+        read_file("/dev/zero")
+    (tmp_path / "link.g2o").symlink_to(pipe)
+    with pytest.raises(FormatError, match="a pipe, expected"):
+        read_file(tmp_path / "link.g2o")
+
+
+@pytest.mark.parametrize("name", ["zero\0byte", "no\udfffname\ud800"])
+def test_a_name_that_no_file_can_have_is_refused(name):
+    with pytest.raises(FormatError, match="not a valid file name"):
+        read_file(name)
+
+
+LIMIT = r"larger than the limit of \d+ bytes; .*max_bytes=.* in Python, --max-bytes on the command"
+
+
+@pytest.mark.parametrize("compress", [bytes, gzip.compress])
+def test_a_text_larger_than_the_limit_is_refused(read, compress):
+    text = WORLD.encode()
+    for name in ("graph.g2o", "graph.g2o.gz"):
+        with pytest.raises(FormatError, match=LIMIT) as caught:
+            read(compress(text), name=name, max_bytes=len(text) - 1)
+        assert name in str(caught.value)
+    assert_array_equal(read(compress(text), max_bytes=len(text)).ids, [0, 1, 2])
+
+
+def test_a_gzip_file_is_expanded_no_further_than_to_the_limit(read):
+    bomb = gzip.compress(bytes(10**8), 1) + 50 * gzip.compress(bytes(10**7), 1)
+    tracemalloc.start()
+    try:
+        with pytest.raises(FormatError, match=LIMIT):
+            read(bomb, max_bytes=10**7)
+        assert tracemalloc.get_traced_memory()[1] < 2 * 10**7
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_gzip_file_takes_little_more_memory_than_its_text(tmp_path):
+    size = 2**25
+    (tmp_path / "large.gz").write_bytes(gzip.compress(size * b"#", 1))
+    tracemalloc.start()
+    try:
+        assert len(load_text(tmp_path / "large.gz")) == size
+        assert tracemalloc.get_traced_memory()[1] < 1.3 * size
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("max_bytes", [0, -1, 1.5, "1", None])
+def test_a_limit_that_is_none_is_refused(read, max_bytes):
+    with pytest.raises(FormatError, match="max_bytes must be a positive integer"):
+        read(WORLD, max_bytes=max_bytes)
+
+
+@pytest.mark.parametrize("step", ["load_text", "nearest_positive_definite"])
+def test_too_little_memory_is_an_error_that_names_the_file(read, monkeypatch, step):
+    def fail(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(f"masat.formats.reading.{step}", fail)
+    with pytest.raises(FormatError, match=r"large\.g2o: there is not enough memory"):
+        read(INDEFINITE, name="large.g2o", indefinite="nearest")
 
 
 def test_format_errors_are_value_errors_and_of_the_family():
@@ -168,7 +245,10 @@ def test_indefinite_information_is_counted_and_the_first_line_named(read):
     with pytest.raises(FormatError, match=message) as caught:
         read("# two bad ones\n" + INDEFINITE)
     assert caught.value.line == 3
-    assert 'indefinite="nearest" or indefinite="identity"' in str(caught.value)
+    assert str(caught.value).endswith(
+        'to repair them, choose "nearest" or "identity" (indefinite="nearest" in Python, '
+        "--indefinite nearest on the command line)"
+    )
 
 
 def test_the_nearest_positive_definite_information_is_taken_where_asked_for(read_with_notes):
@@ -187,7 +267,9 @@ def test_the_identity_is_taken_for_every_edge_where_asked_for(read_with_notes):
     graph = read_with_notes(INDEFINITE, indefinite="identity")
     assert_array_equal(graph.information, [np.eye(3)] * 3)
     (note,) = graph.notes
-    assert note.startswith("2 information matrices are not positive definite: so every edge")
+    assert note.startswith(
+        "2 information matrices are not positive definite: every edge has the identity"
+    )
 
 
 @pytest.mark.parametrize("indefinite", ["nearest", "identity"])

@@ -123,7 +123,7 @@ def test_notes_go_to_standard_error(run, tmp_path):
     path.write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 5 6 1 0 0 1 0 0 1 0 1\nLANDMARK 3\n")
     code, _, err = run("solve", path, "-o", tmp_path / "m.g2o")
     assert code == 0
-    assert "note: 1 lines with the unknown tag LANDMARK" in err
+    assert "note: 1 line with the unknown tag LANDMARK" in err
     assert err.count("2 components") == 1
 
 

@@ -1,4 +1,5 @@
 import gzip
+import locale
 import random
 import re
 
@@ -6,6 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from records import EDGE, MATRIX_2D, UNIT_2D, UNIT_3D, WORLD
+
+from masat import FormatError, write
 
 H = np.sqrt(0.5)
 # Every entry different: the order of the numbers shows.
@@ -58,7 +61,7 @@ def test_g2o_edges_in_space_without_information_get_the_identity_and_a_note(read
         "EDGE_SE3:QUAT 2 3 1 2 3 0 0 0 1 # none\n"
     )
     assert_array_equal(graph.information, [np.eye(6), MATRIX_3D, np.eye(6)])
-    assert graph.notes == ("2 edges have no information: identity taken",)
+    assert graph.notes == ("2 edges have no information: assumed the identity",)
 
 
 def test_rounded_quaternions_are_normalized(read):
@@ -124,7 +127,7 @@ def test_isam_in_space_lists_the_square_root_for_roll_pitch_and_yaw(read):
     assert_allclose(graph.measurements, [[1, 2, 3, 0, 0, H, H]], atol=1e-15)
 
 
-def test_odometry_settles_that_edge2_is_that_of_isam(read):
+def test_with_odometry_edge2_is_that_of_isam(read):
     graph = read("ODOMETRY 0 1 1 0 0 2 0 0 3 0 4\nEDGE2 1 0 1 0 0 2 0 0 3 0 4\n")
     assert_array_equal(graph.information, [np.diag([4, 9, 16])] * 2)
 
@@ -133,7 +136,10 @@ def test_edge2_alone_is_read_as_isam_with_a_note_that_it_may_be_toro(read, read_
     text = "EDGE2 0 1 1 2 0.5 2 1 3 4 5 6\n"
     graph = read_with_notes(text)
     assert_array_equal(graph.information, read(text, format="isam").information)
-    assert graph.notes == ('the tags fit isam and toro: read as isam; choose with format="toro"',)
+    assert graph.notes == (
+        "the tags fit isam and toro: read as isam; if it is toro, name the format "
+        '(format="toro" in Python, --format toro on the command line)',
+    )
 
 
 def test_the_format_asked_for_is_taken_without_a_note(read):
@@ -211,6 +217,59 @@ def test_numbers_below_the_smallest_double_are_zero(read):
     assert_array_equal(graph.measurements, [[0, 0, 0]])
 
 
+COMMA_LOCALES = ["de_DE.UTF-8", "fr_FR.UTF-8", "nl_NL.UTF-8", "pl_PL.UTF-8", "de_DE", "German"]
+
+
+@pytest.fixture
+def comma_locale():
+    """Write decimals with a comma in C, as strtod and printf do in many countries."""
+    before = locale.setlocale(locale.LC_NUMERIC)
+    for name in COMMA_LOCALES:
+        try:
+            locale.setlocale(locale.LC_NUMERIC, name)
+        except locale.Error:
+            continue
+        if locale.localeconv()["decimal_point"] == ",":
+            break
+    else:
+        pytest.skip("no locale with a decimal comma is installed")
+    yield
+    locale.setlocale(locale.LC_NUMERIC, before)
+
+
+def test_numbers_do_not_depend_on_the_locale(read, comma_locale, tmp_path):
+    # strtod of this locale stops at the point.
+    words = ["1.5e-400", "0.30000000000000004", "1.5e-310", "+1.25", "-2.5e10", "1.5"]
+    graph = read(f"{' '.join(words[:3])}\n{' '.join(words[3:])}\n")
+    assert graph.poses.ravel().tolist() == [float(word) for word in words]
+    with pytest.raises(FormatError, match=r"'1\.5e400' is too large a number"):
+        read("0 0 1.5e400\n")
+    with pytest.raises(FormatError, match="found '1,5' where a number belongs"):
+        read("0 0 1,5\n", format="trajectory")
+    write(graph, tmp_path / "graph.g2o")
+    assert (tmp_path / "graph.g2o").read_text() == (
+        "VERTEX_SE2 0 0 0.30000000000000004 1.5e-310\nVERTEX_SE2 1 1.25 -2.5e+10 1.5\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [
+        ("2.4703282292062328e-324", 5e-324),  # just above half of the smallest double
+        ("2.4703282292062327e-324", 0),  # just below it
+        ("2.2250738585072011e-308", 2.225073858507201e-308),  # between subnormal and normal
+        ("1.7976931348623158e308", 1.7976931348623157e308),  # rounds down to the largest double
+        ("9007199254740993", 9007199254740992),  # halfway: to even
+        ("0." + 400 * "0" + "1", 0),
+        ("1" + 400 * "0" + "e-400", 1),
+        ("1." + 5000 * "0" + "1", 1),
+        ("+1", 1),
+    ],
+)
+def test_numbers_at_the_limits_of_a_double(read, word, value):
+    assert read(f"{word} 0 0\n").poses[0, 0] == value == float(word)
+
+
 def test_numbers_are_read_to_the_nearest_double(read):
     graph = read(f"EDGE_SE2 0 1 0.1 5e-324 1.7976931348623157e308 {UNIT_2D}\n")
     assert graph.measurements[0].tolist() == [0.1, 5e-324, 1.7976931348623157e308]
@@ -232,16 +291,23 @@ def test_every_decimal_is_read_as_python_reads_it(read):
     assert_array_equal(poses.view(np.uint64), expected.view(np.uint64))
 
 
-def test_unknown_tags_are_passed_over_with_one_note_each(read, read_with_notes):
+def test_unknown_tags_are_skipped_with_one_note_each(read, read_with_notes):
     graph = read_with_notes(
         "PARAMS_SE2OFFSET 0 0 0 0\n" + WORLD + "EQUIV 0 1\n# EQUIV 7 8\nequiv\nEQUIV a b\n"
     )
     assert graph.notes == (
-        "1 lines with the unknown tag PARAMS_SE2OFFSET passed over (first: line 1)",
-        "2 lines with the unknown tag EQUIV passed over (first: line 8)",
-        "1 lines with the unknown tag equiv passed over (first: line 10)",
+        "1 line with the unknown tag PARAMS_SE2OFFSET skipped (first: line 1)",
+        "2 lines with the unknown tag EQUIV skipped (first: line 8)",
+        "1 line with the unknown tag equiv skipped (first: line 10)",
     )
     assert_array_equal(graph.measurements, read(WORLD).measurements)
+
+
+def test_the_first_ten_unknown_tags_have_notes_of_their_own(read_with_notes):
+    graph = read_with_notes(EDGE + "".join(f"TAG{k} 1\n" for k in range(12)) + "TAG11 2\n")
+    assert len(graph.notes) == 11
+    assert graph.notes[9] == "1 line with the unknown tag TAG9 skipped (first: line 11)"
+    assert graph.notes[10] == "3 lines with 2 more unknown tags skipped"
 
 
 @pytest.mark.parametrize(

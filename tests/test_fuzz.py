@@ -1,4 +1,4 @@
-"""Damaged files end in an error that the package raises on purpose, or in a sound graph."""
+"""Damaged files end in a FormatError or in a valid graph."""
 
 import gzip
 import random
@@ -18,7 +18,7 @@ INLINE = {
         "VERTEX_SE2 2 1 1 -3.14\nVERTEX_SE2 3 0 1 -1.57\n"
         "FIX 0 2\n"
         f"EDGE_SE2 0 1 1.0 0.01 1.57 {PLANE}\nEDGE_SE2 1 2 1 -.5e-2 +1.6 50 1e-3 0 50 2 100\n"
-        f"EDGE_SE2 2 3 1 0 1.5 {PLANE}\nEDGE_SE2 3 0 1 0 1.55 {PLANE}\nEQUIV 0 3\n"
+        f"EDGE_SE2 2 3 1 0 1.5 {PLANE}\nEDGE_SE2 3 0 1 0 1.55 {PLANE} # label: 7\nEQUIV 0 3\n"
     ),
     "g2o in space": (
         "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 1 2 3 0.5 -0.5 0.5 0.5\n"
@@ -155,9 +155,9 @@ def nasty_numbers(rng, data):
     lines = data.split(b"\n")
     k = rng.randrange(len(lines))
     words = lines[k].split(b" ")
-    for place in range(rng.randrange(10), len(words)):
+    for index in range(rng.randrange(10), len(words)):
         if rng.random() < 0.5:
-            words[place] = rng.choice(MAGNITUDES)
+            words[index] = rng.choice(MAGNITUDES)
     lines[k] = b" ".join(words)
     return b"\n".join(lines)
 
@@ -188,7 +188,7 @@ def excerpt(rng, lines):
     return b"".join(line for start in starts for line in lines[start : start + count])
 
 
-def assert_sound(graph):
+def assert_valid(graph):
     assert len(graph.components) == len(graph.ids) > 0
     assert (np.diff(graph.ids.astype(object)) > 0).all()
     assert np.isin(graph.edges, graph.ids).all()
@@ -207,7 +207,7 @@ def ends_in_a_graph(path, **options):
         graph = read(path, **options)
     except FormatError:
         return False
-    assert_sound(graph)
+    assert_valid(graph)
     return True
 
 

@@ -56,7 +56,7 @@ def test_noise_may_be_given_number_by_number(simulate):
     assert np.array_equal(one, other)
 
 
-def test_it_speaks_json_and_draws(simulate, tmp_path):
+def test_it_prints_json_and_draws(simulate, tmp_path):
     code, text, _ = simulate("torus", "-o", "t.g2o", "--nodes", 200, "--plot", "t.png", "--json")
     assert code == 0
     said = json.loads(text)
@@ -73,8 +73,12 @@ def test_it_speaks_json_and_draws(simulate, tmp_path):
         (["city"], "--output"),
         (["city", "-o", "no/such/w.g2o"], "folder does not exist"),
         (["city", "-o", "w.g2o", "--truth", "w.g2o"], "different files"),
+        (["city", "-o", "w.tum"], "the suffix '.tum' belongs to no format"),
+        (["city", "-o", "w.g2o", "--truth", "w.png"], "the suffix '.png' belongs to no format"),
+        (["city", "-o", "w.g2o", "--nodes", 2**31], "at most 2147483647 nodes"),
+        (["city", "-o", "w.g2o", "--nodes", 100, "--noise", "1,1,1e-200"], "between 1e-100"),
         (["city", "-o", "w.g2o", "--plot", "w.xyz"], "a picture ends in"),
-        (["city", "-o", "w.g2o", "--nodes", 100, "--edges", 50], "an edge less"),
+        (["city", "-o", "w.g2o", "--nodes", 100, "--edges", 50], "an edge between"),
         (["city", "-o", "w.g2o", "--nodes", 100, "--edges", 9999], "loop closures"),
         (["city", "-o", "w.g2o", "--nodes", 100, "--noise", "0.1"], "3 sigmas"),
         (["city", "-o", "w.g2o", "--nodes", 100, "--noise", "a,b,c"], "expected numbers"),

@@ -73,13 +73,13 @@ def test_a_small_world_has_what_closures_it_offers(name, nodes):
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_every_start_returns_the_truth_of_a_world(name):
+def test_every_initializer_returns_the_truth_of_a_world(name):
     world = WORLDS[name](500, 800, seed=1)
     truth = lie.between(world.poses[0], world.poses)
-    for start in INITIALIZERS:
-        if start == "lago" and world.dimension == 3:
+    for init in INITIALIZERS:
+        if init == "lago" and world.dimension == 3:
             continue
-        guess = masat.initialize(world, start).poses
+        guess = masat.initialize(world, init).poses
         assert np.abs(lie.local(truth, lie.between(guess[0], guess))).max() < 1e-9
 
 
@@ -103,7 +103,28 @@ def test_worlds_that_cannot_be_are_refused(name):
         WORLDS[name](100, seed=-1)
 
 
+@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("value", [100.0, "100", None, [100], True, np.nan])
+def test_sizes_and_seeds_that_are_no_integers_are_refused(name, value):
+    with pytest.raises(GraphError, match="nodes must be an integer"):
+        WORLDS[name](value)
+    if value is not None:
+        with pytest.raises(GraphError, match="edges must be an integer"):
+            WORLDS[name](100, value)
+    with pytest.raises(GraphError, match="seed must be an integer"):
+        WORLDS[name](100, seed=value)
+    with pytest.raises(GraphError, match="at most 2147483647 nodes"):
+        WORLDS[name](2**31)
+
+
 def test_impossible_measures_are_refused():
+    for make in (manhattan, city):
+        with pytest.raises(GraphError, match="extent must be an integer"):
+            make(100, extent=10.5)
+    with pytest.raises(GraphError, match="block must be an integer"):
+        city(100, block="5")
+    with pytest.raises(GraphError, match="storeys must be an integer"):
+        garage(100, storeys=2.5)
     with pytest.raises(GraphError, match="extent"):
         manhattan(100, extent=0)
     with pytest.raises(GraphError, match="block"):
@@ -238,16 +259,33 @@ def test_a_sigma_of_zero_leaves_a_measurement_exact_with_finite_information():
     assert np.allclose(noisy.information[0], np.diag([1e6, 1e6, 100]))
 
 
-@pytest.mark.parametrize("sigma", [(0.1, 0.1), (-0.1, 0.1, 0.1), (np.nan, 0, 0)])
+IMPOSSIBLE = [
+    *[(0.1, 0.1), (-0.1, 0.1, 0.1), (np.nan, 0, 0)],
+    *[(1e200, 1, 1), (1, 1, 1e-200), "abc", ["a", "b", "c"], [(1,), (1, 2), 3], None, 0.1],
+]
+
+
+@pytest.mark.parametrize("sigma", IMPOSSIBLE)
 def test_impossible_noise_is_refused(sigma):
-    with pytest.raises(GraphError):
+    with pytest.raises(GraphError, match="sigma"):
         perturb(manhattan(100, 150, extent=6), sigma)
 
 
-def test_planar_noise_is_refused_on_a_spatial_graph():
-    spatial = PoseGraph.from_arrays([(0, 1)], [(1, 0, 0, 0, 0, 0, 1)])
-    with pytest.raises(GraphError, match="planar"):
-        perturb(spatial, (0.1, 0.1, 0.1))
+@pytest.mark.parametrize("seed", [-1, 1.5, "1", None])
+def test_impossible_seeds_of_noise_are_refused(seed):
+    with pytest.raises(GraphError, match="seed must"):
+        perturb(manhattan(100, 150, extent=6), (0.1, 0.1, 0.1), seed=seed)
+
+
+def test_blocks_longer_than_the_drive_take_no_memory():
+    world = city(10, 9, block=10**12)
+    assert (world.poses == city(10, 9, block=9).poses).all()
+
+
+def test_noise_for_2d_is_refused_on_a_3d_graph():
+    graph = PoseGraph.from_arrays([(0, 1)], [(1, 0, 0, 0, 0, 0, 1)])
+    with pytest.raises(GraphError, match="2D graph has 3 sigmas"):
+        perturb(graph, (0.1, 0.1, 0.1))
 
 
 def test_planar_noise_is_that_of_the_plain_formula():

@@ -1,6 +1,11 @@
+import errno
 import gzip
 import os
+import signal
 import stat
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,8 +14,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from numpy.testing import assert_array_equal
 
-from masat import PoseGraph, read, write
-from masat.formats import FORMATS
+from masat import FormatError, PoseGraph, read, write
+from masat.formats import FORMATS, format_of
 
 ARRAYS = ("ids", "poses", "edges", "measurements", "information", "fixed")
 UNWRITABLE = [name for name, table in FORMATS.items() if table.format_graph is None]
@@ -158,9 +163,31 @@ def test_the_path_may_be_a_string(tmp_path, graph):
 
 @pytest.mark.parametrize("name", [*UNWRITABLE, "nonsense"])
 def test_a_format_that_cannot_be_written_is_refused(tmp_path, graph, name):
-    with pytest.raises(ValueError, match=f"cannot write the format '{name}'; known: g2o"):
+    with pytest.raises(FormatError, match=f"cannot write the format '{name}'; known: g2o"):
         write(graph, tmp_path / "graph.txt", format=name)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("stem", ["graph", "graph.g2o", "graph.TXT", "v1.2.G2O", ".g2o", ".hidden"])
+@pytest.mark.parametrize("gz", ["", ".gz", ".GZ"])
+def test_the_suffix_chooses_the_format(tmp_path, graph, stem, gz):
+    path = tmp_path / (stem + gz)
+    assert format_of(path) == format_of(str(path)) == "g2o"
+    write(graph, path)
+    assert path.read_bytes().startswith(b"\x1f\x8b") == bool(gz)
+    assert_identical(read(path), graph)
+
+
+@pytest.mark.parametrize("suffix", [".tum", ".graph", ".json", ".tum.gz", ".g2o.zip", ".gz.gz"])
+def test_an_unknown_suffix_is_refused_with_the_known_ones(tmp_path, graph, suffix):
+    path = tmp_path / f"o{suffix}"
+    message = f"o{suffix}: the suffix .* no format that can be written; expected .g2o, .txt or no"
+    for call in (lambda: write(graph, path), lambda: format_of(path)):
+        with pytest.raises(FormatError, match=message):
+            call()
+    assert list(tmp_path.iterdir()) == []
+    write(graph, path, format="g2o")
+    assert_identical(read(path), graph)
 
 
 def test_an_existing_file_is_replaced_whole(tmp_path, graph):
@@ -205,9 +232,84 @@ def test_the_new_file_is_complete_on_disk_before_it_takes_its_place(tmp_path, gr
 
 
 def test_a_folder_that_does_not_exist_is_not_made(tmp_path, graph):
-    with pytest.raises(FileNotFoundError):
-        write(graph, tmp_path / "missing" / "graph.g2o")
+    path = tmp_path / "missing" / "graph.g2o"
+    with pytest.raises(FileNotFoundError) as caught:
+        write(graph, path)
+    assert caught.value.filename == str(path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_is_not_replaced(tmp_path, graph):
+    (tmp_path / "folder.g2o").mkdir()
+    with pytest.raises(IsADirectoryError) as caught:
+        write(graph, tmp_path / "folder.g2o")
+    assert caught.value.filename == str(tmp_path / "folder.g2o")
+
+
+def test_a_loop_of_links_is_refused_and_stays(tmp_path, graph):
+    (tmp_path / "a.g2o").symlink_to("b.g2o")
+    (tmp_path / "b.g2o").symlink_to("a.g2o")
+    with pytest.raises(OSError, match="Too many levels of symbolic links") as caught:
+        write(graph, tmp_path / "a.g2o")
+    assert caught.value.filename == str(tmp_path / "a.g2o")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.g2o", "b.g2o"]
+    assert all(p.is_symlink() for p in tmp_path.iterdir())
+
+
+def test_a_name_that_no_file_can_have_is_refused(tmp_path, graph):
+    with pytest.raises(OSError, match="not a valid file name"):
+        write(graph, tmp_path / "zero\0byte")
+
+
+def test_the_longest_name_that_the_system_allows_can_be_written(tmp_path, graph):
+    for name in (251 * "n" + ".g2o", 125 * "ä" + ".g2o"):
+        write(graph, tmp_path / name)
+        assert_identical(read(tmp_path / name), graph)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+def test_a_full_device_is_named(graph):
+    with pytest.raises(OSError, match=r"No space left on device: '/dev/full'"):
+        write(graph, "/dev/full")
+
+
+def test_a_full_disk_names_the_file_and_leaves_no_other(tmp_path, graph, monkeypatch):
+    def full(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match=r"No space left on device: '.*/graph\.g2o'"):
+        write(graph, tmp_path / "graph.g2o")
+    assert list(tmp_path.iterdir()) == []
+
+
+INTERRUPTED = """
+import os, sys, time
+import masat.cli
+
+def hang(descriptor):
+    print("writing", flush=True)
+    time.sleep(60)
+
+os.fsync = hang
+sys.argv = ["masat", "convert", "in.g2o", "out.g2o"]
+masat.cli.main()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no such signals on this system")
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGINT, 130)]
+)
+def test_a_signal_leaves_no_partial_file(tmp_path, graph, number, code):
+    write(graph, tmp_path / "in.g2o")
+    command = [sys.executable, "-c", INTERRUPTED]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "writing\n"
+        assert len(list(tmp_path.glob(".out.g2o.*.part"))) == 1
+        process.send_signal(number)
+        assert process.wait() == code
+    assert [p.name for p in tmp_path.iterdir()] == ["in.g2o"]
 
 
 @pytest.mark.parametrize("mode", [0o600, 0o640, 0o666])

@@ -1,4 +1,4 @@
-// Text in and out, by tables of records.
+// Reading and writing text by tables of records.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -33,8 +33,15 @@ nb::dict parse_text(const nb::bytes& text, const std::vector<Record>& records) {
   for (const UnknownTag& u : g.unknown) {
     unknown[nb::bytes(u.tag.data(), u.tag.size())] = nb::make_tuple(u.count, u.first_line);
   }
+  nb::object labels = nb::none();
+  if (!g.edge_labels.empty()) {
+    nb::list each;
+    for (const std::string& label : g.edge_labels) {
+      each.append(nb::bytes(label.data(), label.size()));
+    }
+    labels = std::move(each);
+  }
   nb::dict out;
-  out["dimension"] = g.dimension;
   out["vertex_ids"] = as_array(std::move(g.vertex_ids));
   out["vertex_lines"] = as_array(std::move(g.vertex_lines));
   out["vertex_poses"] = as_array(std::move(g.vertex_poses), {n, size});
@@ -42,6 +49,7 @@ nb::dict parse_text(const nb::bytes& text, const std::vector<Record>& records) {
   out["edge_lines"] = as_array(std::move(g.edge_lines));
   out["measurements"] = as_array(std::move(g.measurements), {m, size});
   out["information"] = as_array(std::move(g.information), {m, dof, dof});
+  out["edge_labels"] = labels;
   out["fixed_ids"] = as_array(std::move(g.fixed_ids));
   out["fixed_lines"] = as_array(std::move(g.fixed_lines));
   out["unknown"] = unknown;
@@ -58,13 +66,14 @@ nb::dict tags_of(const nb::bytes& text) {
 }
 
 nb::bytes formatted(const std::string& tag, const Table<std::int64_t>& integers,
-                    const Table<double>& values) {
+                    const Table<double>& values, const std::vector<std::string>& labels) {
   require(integers.shape(0) == values.shape(0), "as many rows of integers as of values");
+  require(labels.empty() || labels.size() == values.shape(0), "as many labels as rows");
   std::string out;
   {
     nb::gil_scoped_release release;
     out = format_lines(tag, integers.data(), integers.shape(1), values.data(), values.shape(1),
-                       values.shape(0));
+                       values.shape(0), labels);
   }
   return nb::bytes(out.data(), out.size());
 }
@@ -100,11 +109,11 @@ void bind_text(nb::module_& m) {
       .def(nb::init<std::string, Kind, PoseText, InformationText, bool>(), "tag"_a, "kind"_a,
            "pose"_a = PoseText::kXYTheta, "information"_a = InformationText::kUpper,
            "information_optional"_a = false)
-      .def_ro("tag", &Record::tag)
-      .def_ro("kind", &Record::kind);
+      .def_ro("tag", &Record::tag);
   m.def("parse", &parse_text, "text"_a, "records"_a);
   m.def("count_tags", &tags_of, "text"_a);
-  m.def("format_lines", &formatted, "tag"_a, "integers"_a, "values"_a);
+  m.def("format_lines", &formatted, "tag"_a, "integers"_a, "values"_a,
+        "labels"_a = std::vector<std::string>{});
 }
 
 }  // namespace masat

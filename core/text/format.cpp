@@ -6,10 +6,13 @@ namespace masat {
 
 std::string format_lines(std::string_view tag, const std::int64_t* integers,
                          std::int64_t integer_columns, const double* values,
-                         std::int64_t value_columns, std::int64_t rows) {
+                         std::int64_t value_columns, std::int64_t rows,
+                         const std::vector<std::string>& labels) {
   std::string out;
   out.reserve(rows * (tag.size() + 8 * integer_columns + 12 * value_columns));
   char number[32];
+  // to_chars writes a decimal point whatever the locale; of doubles it is in libstdc++ 11,
+  // libc++ 14.
   const auto append = [&](auto value) {
     const auto [end, status] = std::to_chars(number, number + sizeof number, value);
     out += ' ';
@@ -19,6 +22,7 @@ std::string format_lines(std::string_view tag, const std::int64_t* integers,
     out += tag;
     for (std::int64_t c = 0; c < integer_columns; ++c) append(*integers++);
     for (std::int64_t c = 0; c < value_columns; ++c) append(*values++);
+    if (!labels.empty()) ((out += " # ") += kLabel) += ' ' + labels[row];
     out += '\n';
   }
   return out;

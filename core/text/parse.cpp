@@ -1,10 +1,11 @@
+#include <fast_float/fast_float.h>
+
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 #include <Eigen/LU>
 #include <array>
 #include <charconv>
 #include <cmath>
-#include <cstdlib>
 #include <type_traits>
 #include <unordered_map>
 
@@ -14,11 +15,12 @@ namespace masat {
 namespace {
 
 constexpr bool is_space(char c) { return c == ' ' || c == '\t' || c == '\r'; }
+constexpr bool is_letter(char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z'); }
 constexpr bool starts_number(char c) {
   return (c >= '0' && c <= '9') || c == '-' || c == '+' || c == '.';
 }
 
-// The blank-separated words of one line, up to a comment.
+// The words of one line, separated by blanks, up to a comment.
 class Line {
  public:
   Line(std::string_view text, std::int64_t number)
@@ -30,6 +32,8 @@ class Line {
   char peek() const { return *at_; }
   std::int64_t number() const { return number_; }
   std::size_t size() const { return size_; }
+  // What follows the '#'; known when the line is done.
+  std::string_view comment() const { return comment_; }
 
   std::string_view word() {
     const char* const begin = at_;
@@ -39,38 +43,50 @@ class Line {
     return w;
   }
 
-  // The next word as a number of type T; on any error nothing is consumed.
+  // Reads the next word as a number of type T. On an error nothing is consumed: the word is no
+  // number, or one whose magnitude is too large for T. A double below the smallest one reads as 0.
   template <class T>
-  std::from_chars_result try_number(T& value) {
+  std::errc try_number(T& value) {
     if constexpr (std::is_same_v<T, double>) {
       if (const char* const end = short_decimal(value)) {
         at_ = end;
         skip_blanks();
-        return {end, std::errc{}};
+        return {};
       }
     }
     const char* begin = at_;
     if (begin != end_ && *begin == '+') {  // from_chars knows no plus sign
       ++begin;
-      if (begin == end_ || *begin == '-') return {at_, std::errc::invalid_argument};
+      if (begin == end_ || *begin == '-') return std::errc::invalid_argument;
     }
-    auto result = std::from_chars(begin, end_, value);
-    if (result.ptr != end_ && !is_space(*result.ptr)) {
-      result.ec = std::errc::invalid_argument;
-    }
-    if (result.ec == std::errc{}) {
-      at_ = result.ptr;
+    const auto [end, error] = from_chars(begin, value);
+    if (end != end_ && !is_space(*end)) return std::errc::invalid_argument;
+    if (error == std::errc{}) {
+      at_ = end;
       skip_blanks();
     }
-    return result;
+    return error;
   }
 
   [[noreturn]] void fail(const std::string& what) const { throw ParseError(number_, what); }
 
  private:
+  std::pair<const char*, std::errc> from_chars(const char* begin, std::int64_t& value) const {
+    const auto [end, error] = std::from_chars(begin, end_, value);
+    return {end, error};
+  }
+
+  // The floating std::from_chars is missing in libc++ before version 20, and strtod reads the
+  // decimal point of the process's locale.
+  std::pair<const char*, std::errc> from_chars(const char* begin, double& value) const {
+    const auto [end, error] = fast_float::from_chars(begin, end_, value);
+    const bool overflow = error == std::errc{} && std::isinf(value) && !is_letter(end[-1]);
+    return {end, overflow ? std::errc::result_out_of_range : error};
+  }
+
   // Reads a decimal without exponent of at most 15 digits, the most common kind: an integer below
-  // 2^53 over a power of ten that is a double, hence rounded once, correctly (Clinger, 1990). Null,
-  // and no value, for any other word.
+  // 2^53 divided by a power of ten that is a double, hence rounded once, correctly (Clinger, How to
+  // read floating point numbers accurately, 1990). Returns null, and no value, for any other word.
   const char* short_decimal(double& value) const {
     static constexpr std::array<double, 16> kPowers = {
         1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15};
@@ -95,11 +111,15 @@ class Line {
 
   void skip_blanks() {
     while (at_ != end_ && is_space(*at_)) ++at_;
-    if (at_ != end_ && *at_ == '#') at_ = end_;
+    if (at_ != end_ && *at_ == '#') {
+      comment_ = {at_ + 1, end_};
+      at_ = end_;
+    }
   }
 
   const char* at_;
   const char* end_;
+  std::string_view comment_;
   std::size_t size_;
   std::int64_t number_;
 };
@@ -115,6 +135,19 @@ void for_each_line(std::string_view text, Visit visit) {
     if (end == std::string_view::npos) break;
     text.remove_prefix(end + 1);
   }
+}
+
+// The text after "label:" in a comment, without blanks around it; empty if there is none.
+std::string_view label_in(std::string_view comment) {
+  const auto trim = [&] {
+    while (!comment.empty() && is_space(comment.front())) comment.remove_prefix(1);
+    while (!comment.empty() && is_space(comment.back())) comment.remove_suffix(1);
+  };
+  trim();
+  if (!comment.starts_with(kLabel)) return {};
+  comment.remove_prefix(kLabel.size());
+  trim();
+  return comment;
 }
 
 std::string quoted(std::string_view word) {
@@ -171,10 +204,13 @@ class Parser {
     }
   }
 
-  ParsedGraph take() { return std::move(out_); }
+  ParsedGraph take() {
+    if (!out_.edge_labels.empty()) out_.edge_labels.resize(out_.edge_lines.size());
+    return std::move(out_);
+  }
 
  private:
-  // The record of the line's tag, the tag consumed; null, and counted, if the table has none.
+  // Reads the line's tag and returns its record. A tag that the table lacks is counted: null.
   const Record* find(Line& line) {
     const bool untagged = starts_number(line.peek());
     const std::string_view tag = untagged ? std::string_view{} : line.word();
@@ -183,9 +219,9 @@ class Parser {
       if (record.tag == tag) return last_ = &record;
     }
     if (untagged) line.fail("expected a tag, found " + quoted(line.word()));
-    const auto [place, added] = unknown_.try_emplace(std::string(tag), out_.unknown.size());
+    const auto [entry, added] = unknown_.try_emplace(std::string(tag), out_.unknown.size());
     if (added) out_.unknown.push_back({std::string(tag), 0, line.number()});
-    ++out_.unknown[place->second].count;
+    ++out_.unknown[entry->second].count;
     return nullptr;
   }
 
@@ -207,11 +243,11 @@ class Parser {
   static std::int64_t integer(Line& line, const Record& record) {
     if (line.done()) fail(line, record, "the line ends before the id");
     std::int64_t value = 0;
-    const auto result = line.try_number(value);
-    if (result.ec == std::errc::result_out_of_range) {
+    const std::errc error = line.try_number(value);
+    if (error == std::errc::result_out_of_range) {
       line.fail("the id " + quoted(line.word()) + " does not fit in 64 bits");
     }
-    if (result.ec != std::errc{}) {
+    if (error != std::errc{}) {
       fail(line, record, "found " + quoted(line.word()) + " where an integer id belongs");
     }
     return value;
@@ -225,13 +261,10 @@ class Parser {
              "the line ends after " + std::to_string(k) + " of " + std::to_string(count) +
                  " numbers");
       }
-      const auto result = line.try_number(values_[k]);
-      if (result.ec == std::errc::result_out_of_range) {
-        // Below the smallest double is zero; above the largest is no measurement.
-        const std::string word(line.word());
-        values_[k] = std::strtod(word.c_str(), nullptr);
-        if (!std::isfinite(values_[k])) line.fail(quoted(word) + " is too large a number");
-      } else if (result.ec != std::errc{}) {
+      const std::errc error = line.try_number(values_[k]);
+      if (error == std::errc::result_out_of_range) {
+        line.fail(quoted(line.word()) + " is too large a number");
+      } else if (error != std::errc{}) {
         fail(line, record, "found " + quoted(line.word()) + " where a number belongs");
       } else if (!std::isfinite(values_[k])) {
         line.fail("found a number that is not finite (nan or inf)");
@@ -283,10 +316,14 @@ class Parser {
       information<6>(line, record);
     }
     end_of(line, record);
+    if (const std::string_view label = label_in(line.comment()); !label.empty()) {
+      out_.edge_labels.resize(out_.edge_lines.size());
+      out_.edge_labels.back() = label;
+    }
   }
 
-  // Makes room for as many edges of this length as the text can hold; what stays unused is never
-  // touched.
+  // Reserves memory for as many edges of this length as the text can hold. The system provides
+  // pages when they are first written, so what stays unused costs nothing.
   void reserve(std::size_t line_size, PoseText pose) {
     const std::size_t count = text_size_ / line_size + 1;
     const int dimension = dimension_of(pose), dof = dof_of(dimension);
@@ -324,7 +361,7 @@ class Parser {
       m.template triangularView<Eigen::StrictlyLower>() = m.transpose();
       if (!m.allFinite()) line.fail("the information matrix overflows");
     }
-    // Angles are twice the vector part of the quaternion, to first order.
+    // To first order, angles are twice the vector part of the quaternion.
     if (record.pose == PoseText::kXYZRPY) {
       m.template bottomRows<3>() *= 2;
       m.template rightCols<3>() *= 2;

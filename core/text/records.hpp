@@ -1,4 +1,4 @@
-// Line-oriented pose-graph text: a format is a table of records, one a tag.
+// Pose graphs as text, line by line: a format is a table of records, one for each tag.
 #pragma once
 
 #include <cstdint>
@@ -10,23 +10,26 @@
 
 namespace masat {
 
+// An edge's label is a comment at the end of its line: "# label: NAME".
+inline constexpr std::string_view kLabel = "label:";
+
 enum class Kind { kVertex, kEdge, kFix, kPose };  // kPose: a vertex without an id
 
 enum class PoseText {
   kXYTheta,  // x y theta
   kXYZQuat,  // x y z qx qy qz qw
-  kXYZRPY,   // x y z roll pitch yaw; its information is in these angles
+  kXYZRPY,   // x y z roll pitch yaw; the information refers to these angles
 };
 
 enum class InformationText {
   kUpper,       // upper triangle, row by row
   kToroPlanar,  // xx xy yy tt xt yt
-  kSquareRoot,  // upper triangular R with information R'R, row by row
+  kSquareRoot,  // upper triangular R, row by row; the information is R'R
   kCovariance,  // full covariance, row by row
 };
 
 struct Record {
-  std::string tag;  // empty: the lines begin with a number
+  std::string tag;  // empty if the lines begin with a number
   Kind kind;
   PoseText pose;
   InformationText information;
@@ -44,13 +47,14 @@ struct UnknownTag {
   std::int64_t count, first_line;
 };
 
-// All that a text holds, as flat arrays; `*_lines` are the line numbers, from 1.
+// The contents of a text as flat arrays; `*_lines` are line numbers, from 1.
 struct ParsedGraph {
-  int dimension = 0;  // 0: no record gave it
+  int dimension = 0;  // 0 if the text has neither a vertex nor an edge
   std::vector<std::int64_t> vertex_ids, vertex_lines;
   std::vector<double> vertex_poses;
   std::vector<std::int64_t> edge_ids, edge_lines;  // (from, to) pairs
   std::vector<double> measurements, information;
+  std::vector<std::string> edge_labels;  // empty if no edge has one; "" for an edge without
   std::vector<std::int64_t> fixed_ids, fixed_lines;
   std::vector<UnknownTag> unknown;
   std::int64_t edges_without_information = 0;
@@ -59,12 +63,14 @@ struct ParsedGraph {
 // Throws ParseError.
 ParsedGraph parse(std::string_view text, const std::vector<Record>& records);
 
-// How many lines begin with each tag; lines that begin with a number count as "N columns".
+// Counts the lines that begin with each tag; lines that begin with a number are "N columns".
 std::vector<std::pair<std::string, std::int64_t>> count_tags(std::string_view text);
 
-// One line a row: tag, integers, shortest decimals that read back as the same doubles.
+// Returns one line for each row: tag, integers, the shortest decimals that read back as the same
+// doubles, and the row's label, unless `labels` is empty.
 std::string format_lines(std::string_view tag, const std::int64_t* integers,
                          std::int64_t integer_columns, const double* values,
-                         std::int64_t value_columns, std::int64_t rows);
+                         std::int64_t value_columns, std::int64_t rows,
+                         const std::vector<std::string>& labels);
 
 }  // namespace masat

@@ -130,11 +130,8 @@ class Record:
     ) -> None: ...
     @property
     def tag(self) -> str: ...
-    @property
-    def kind(self) -> Kind: ...
 
 class ParsedGraph(TypedDict):
-    dimension: int
     vertex_ids: Ids
     vertex_lines: Ids
     vertex_poses: Floats
@@ -142,6 +139,7 @@ class ParsedGraph(TypedDict):
     edge_lines: Ids
     measurements: Floats
     information: Floats
+    edge_labels: list[bytes] | None
     fixed_ids: Ids
     fixed_lines: Ids
     unknown: dict[bytes, tuple[int, int]]
@@ -149,7 +147,9 @@ class ParsedGraph(TypedDict):
 
 def parse(text: bytes, records: Sequence[Record]) -> ParsedGraph: ...
 def count_tags(text: bytes) -> dict[bytes, int]: ...
-def format_lines(tag: str, integers: Ids, values: Floats) -> bytes: ...
+def format_lines(
+    tag: str, integers: Ids, values: Floats, labels: Sequence[str] = ...
+) -> bytes: ...
 def lifted_block_size(dimension: int, rank: int) -> int: ...
 def minimize_lifted(
     matrix: GraphMatrix,

@@ -1,4 +1,4 @@
-"""The errors and the warning of the package; every error it raises on purpose is a `MasatError`."""
+"""The errors and the warning of the package. All errors that it raises are `MasatError`s."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 class MasatError(Exception):
-    """Base of the package's errors; its text says what is wrong, where, and what to do."""
+    """Base class of the package's errors. The message says what is wrong, where, and what to do."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         # By default an exception is unpickled from its text alone, which the errors below refuse.
@@ -21,14 +21,14 @@ def _unpickled(kind: type[MasatError], args: tuple[Any, ...], state: dict[str, A
 
 
 class GraphError(MasatError, ValueError):
-    """The arrays do not make a pose graph.
+    """Arrays that are not a valid pose graph, or sizes of a world that cannot be simulated.
 
     Attributes
     ----------
     edge : int or None
-        Index of the first edge at fault.
+        Index of the first invalid edge, if the error is about an edge.
     node : int or None
-        Index, in the order of the input, of the first node at fault.
+        Index, in the order of the input, of the first invalid node, if the error is about a node.
     """
 
     def __init__(self, message: str, *, edge: int | None = None, node: int | None = None) -> None:
@@ -43,7 +43,7 @@ class InformationError(GraphError):
     Attributes
     ----------
     count : int
-        How many matrices are at fault; `edge` is the first.
+        Number of invalid matrices; `edge` is the first of them.
     """
 
     def __init__(self, message: str, *, edge: int, count: int) -> None:
@@ -52,14 +52,14 @@ class InformationError(GraphError):
 
 
 class FormatError(MasatError, ValueError):
-    """A file does not hold what its format promises.
+    """A file that cannot be read, or written, in the format asked for.
 
     Attributes
     ----------
     path : Path
         The file.
     line : int or None
-        Number of the line at fault, from 1.
+        Number of the invalid line, from 1, if the error is about a line.
     """
 
     def __init__(self, message: str, path: Path, line: int | None = None) -> None:
@@ -70,12 +70,12 @@ class FormatError(MasatError, ValueError):
 
 
 class InitializationError(MasatError, ValueError):
-    """An initial guess cannot be made as asked."""
+    """An initial guess that cannot be computed as asked."""
 
 
 class OptimizationError(MasatError, ValueError):
-    """An optimization cannot start as asked."""
+    """An optimization that cannot start as asked."""
 
 
 class MasatWarning(UserWarning):
-    """Something in the input was passed over, assumed or bridged; the result is still valid."""
+    """Part of the input was skipped, assumed or repaired; the result is still valid."""

@@ -10,9 +10,11 @@ from masat import _core
 from masat.arrays import Floats, Ids
 
 Repair: TypeAlias = Literal["error", "nearest", "identity"]
-"""What to do with indefinite information: refuse, take the nearest, or the identity everywhere."""
+"""What to do with indefinite information: refuse it, or take the nearest or the identity."""
 
-_FLOOR = 1e-9
+# Smallest eigenvalue after a repair, as a fraction of the largest: no direction is lost, and the
+# normal equations keep half of the digits of a double.
+_MIN_EIGENVALUE_RATIO = 1e-9
 
 
 def indefinite(information: Floats) -> Ids:
@@ -21,11 +23,12 @@ def indefinite(information: Floats) -> Ids:
 
 
 def nearest_positive_definite(information: Floats) -> Floats:
-    """Raise the eigenvalues of symmetric matrices to at least 1e-9 of the matrix's largest.
+    """Raise the eigenvalues of indefinite matrices to at least 1e-9 of the matrix's largest.
 
-    Clipping at zero gives the nearest positive semidefinite matrix in the Frobenius norm (Higham,
-    Computing a nearest symmetric positive semidefinite matrix, 1988, theorem 2.1); the floor keeps
-    every direction measured. A matrix without a positive eigenvalue is refused by the graph.
+    Clipping at zero would give the nearest positive semidefinite matrix in the Frobenius norm
+    (Higham, Computing a nearest symmetric positive semidefinite matrix, 1988, theorem 2.1). The
+    small positive bound makes it definite. A matrix without a positive eigenvalue stays indefinite,
+    and the graph refuses it.
 
     Parameters
     ----------
@@ -35,17 +38,17 @@ def nearest_positive_definite(information: Floats) -> Floats:
     Returns
     -------
     ndarray, (m, d, d)
-        The matrices, those that were positive definite unchanged.
+        The repaired matrices; those that were positive definite are unchanged.
     """
     bad = indefinite(information)
-    fixed = information.copy()
-    # Numbers near the largest double may overflow: the graph refuses what comes of them.
+    repaired = information.copy()
+    # Numbers near the largest double may overflow; the graph then refuses the result.
     with np.errstate(over="ignore", invalid="ignore"):
         values, vectors = np.linalg.eigh(information[bad])
-        values = np.maximum(values, _FLOOR * values[:, -1:])
+        values = np.maximum(values, _MIN_EIGENVALUE_RATIO * values[:, -1:])
         product = (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
-    fixed[bad] = 0.5 * product + 0.5 * product.transpose(0, 2, 1)
-    return fixed
+    repaired[bad] = 0.5 * product + 0.5 * product.transpose(0, 2, 1)
+    return repaired
 
 
 class IsotropicWeights(NamedTuple):

@@ -58,8 +58,10 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; errors become one line on standard error."""
+    from masat.cli.signals import exit_on_termination
     from masat.errors import MasatError, MasatWarning
 
+    exit_on_termination()
     # Notes are printed by the commands themselves.
     warnings.simplefilter("ignore", MasatWarning)
     try:

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from masat.cli import options, show
-from masat.formats import write
+from masat.formats import format_of, write
 
 
 @click.command(epilog="Example:  masat convert w10000.graph.gz w10000.g2o")
@@ -17,8 +17,12 @@ from masat.formats import write
 def convert(
     file: Path, file_format: str | None, indefinite: str, out: Path, as_json: bool, quiet: bool
 ) -> None:
-    """Write the pose graph in FILE to OUT in the format of g2o; .gz gzips it."""
+    """Write the pose graph in FILE to OUT in the format of g2o.
+
+    The name of OUT ends in .g2o or .txt, or has no suffix; with .gz after it, OUT is compressed.
+    """
     options.check_writable(out, file)
+    format_of(out)
     graph = options.load(file, file_format, indefinite, quiet)
     write(graph, out)
     if as_json:

@@ -9,7 +9,9 @@ from typing import Any, TypeVar
 import click
 
 from masat.errors import MasatError
+from masat.files import resolve_target
 from masat.formats import FORMATS, read
+from masat.formats.text import MAX_BYTES
 from masat.graph import PoseGraph
 from masat.initializers import INITIALIZERS
 
@@ -17,6 +19,13 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 OPTIMIZERS = ("lm", "gn", "dogleg")
 _PICTURES = (".png", ".pdf", ".svg", ".jpg")
+
+_MAX_BYTES = "masat.max_bytes"  # key of the context's notes
+
+
+def _set_max_bytes(context: click.Context, parameter: click.Parameter, value: int) -> None:
+    """Keep the limit for `load`, so that no command has to pass it on."""
+    context.meta[_MAX_BYTES] = value
 
 
 def graph_file(command: F) -> F:
@@ -36,6 +45,15 @@ def graph_file(command: F) -> F:
             type=click.Choice(list(FORMATS)),
             help="Format of FILE, where its tags leave it open (EDGE2: iSAM's or TORO's).",
         ),
+        click.option(
+            "--max-bytes",
+            type=click.IntRange(min=1),
+            default=MAX_BYTES,
+            show_default=True,
+            expose_value=False,
+            callback=_set_max_bytes,
+            help="Largest size of FILE's text, decompressed.",
+        ),
         click.argument("file", type=click.Path(path_type=Path)),
     ):
         command = option(command)
@@ -44,7 +62,8 @@ def graph_file(command: F) -> F:
 
 def load(file: Path, file_format: str | None, indefinite: Any, quiet: bool) -> PoseGraph:
     """Read FILE and print its notes."""
-    graph = read(file, format=file_format, indefinite=indefinite)
+    max_bytes = click.get_current_context().meta.get(_MAX_BYTES, MAX_BYTES)
+    graph = read(file, format=file_format, indefinite=indefinite, max_bytes=max_bytes)
     if not quiet:
         notes(graph.notes)
     return graph
@@ -145,15 +164,8 @@ def check_outputs(source: Path | None, *targets: Path | None) -> None:
     for target in targets:
         if target is None:
             continue
-        try:
-            resolved = target.resolve(strict=False)
-            if source is not None and target.exists() and source.exists():
-                same = target.samefile(source)
-            else:
-                same = False
-        except (OSError, RuntimeError) as error:
-            raise MasatError(f"{target}: cannot be written: {error}") from None
-        if same:
+        resolved = resolve_target(target)  # refuses a loop of symbolic links
+        if source is not None and source.exists() and target.exists() and target.samefile(source):
             raise MasatError(f"{target}: is the input, which is never changed; choose another name")
         if resolved in seen:
             raise MasatError(f"{target}: is named for two outputs; choose different names")

@@ -9,7 +9,7 @@ import click
 
 from masat.cli import options, show
 from masat.errors import MasatError
-from masat.formats import write
+from masat.formats import format_of, write
 from masat.worlds import WORLDS, perturb
 
 
@@ -27,25 +27,44 @@ def _sigmas(
     "--truth city_truth.g2o"
 )
 @click.argument("world", type=click.Choice(list(WORLDS)))
-@click.option("-o", "--output", "out", type=click.Path(path_type=Path), required=True)
-@click.option("--nodes", type=click.IntRange(min=2), help="[default: as the public graph]")
-@click.option("--edges", type=click.IntRange(min=1), help="[default: as dense as the public graph]")
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="File for the measurements.",
+)
+@click.option(
+    "--nodes", type=click.IntRange(min=2), help="Number of poses.  [default: as the public graph]"
+)
+@click.option(
+    "--edges",
+    type=click.IntRange(min=1),
+    help="Number of measurements.  [default: as many per pose as the public graph]",
+)
 @click.option(
     "--noise",
     multiple=True,
     callback=_sigmas,
     metavar="SIGMA,...",
-    help="Standard deviations, meters and radians. 2D: x,y,theta. 3D: translation,rotation, or "
-    "x,y,z and the rotation vector's three. Without it, measurements are exact.",
+    help="Standard deviations of the measurements in meters and radians. 2D: x,y,theta. 3D: "
+    "translation,rotation or x,y,z and the three of the rotation vector.  [default: no noise]",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Seed of the random walk and of the noise.",
+)
 @click.option(
     "--truth",
     type=click.Path(path_type=Path),
-    help="Where to write the graph without noise and with its true poses.",
+    help="File for the graph with its true poses and without noise.",
 )
 @click.option(
-    "--plot", "picture", type=click.Path(path_type=Path), help="Where to draw the true map."
+    "--plot", "picture", type=click.Path(path_type=Path), help="File for a picture of the true map."
 )
 @options.output
 def simulate(
@@ -60,23 +79,29 @@ def simulate(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Simulate a robot's walk through WORLD and write what it measured, in the format of g2o.
+    """Simulate a robot's walk through WORLD and write its measurements in the format of g2o.
 
-    2D: manhattan (like M3500), city (City10k). 3D: sphere (sphere2500), torus (torus3D), grid
-    (grid3D), garage (parking-garage).
+    Worlds in 2D: manhattan (like the public graph M3500), city (City10k). Worlds in 3D: sphere
+    (sphere2500), torus (torus3D), grid (grid3D), garage (parking-garage).
 
-    OUT has measurements and no poses: a guess has to come from elsewhere. The true poses are
-    written to a file of their own with --truth.
+    The output file has measurements and no poses, so that the initial guess has to be computed. The
+    true poses are written to another file with --truth.
     """
     options.check_writable(out)
     options.check_writable(truth)
+    for target in (out, truth):
+        if target is not None:
+            format_of(target)
     options.check_picture(picture)
     targets = [target.absolute() for target in (out, truth, picture) if target is not None]
     if len(set(targets)) < len(targets):
-        raise MasatError("OUT, --truth and --plot must be different files")
+        raise MasatError("--output, --truth and --plot must be different files")
     size = {name: n for name, n in (("nodes", nodes), ("edges", edges)) if n is not None}
-    exact = WORLDS[world](**size, seed=seed)
-    measured = perturb(exact, noise, seed=seed) if noise else exact
+    try:
+        exact = WORLDS[world](**size, seed=seed)
+        measured = perturb(exact, noise, seed=seed) if noise else exact
+    except MemoryError:
+        raise MasatError("there is not enough memory for a world of this size") from None
     write(replace(measured, poses=None), out)
     if truth is not None:
         write(exact, truth)
@@ -84,9 +109,9 @@ def simulate(
         from masat.plotting import plot
 
         plot({f"{world}, truth": exact}, picture)
-    said = {"nodes": len(exact.ids), "edges": len(exact.edges)}
+    counts = {"nodes": len(exact.ids), "edges": len(exact.edges)}
     if as_json:
         files = {"out": str(out), "truth": None if truth is None else str(truth)}
-        show.as_json({"world": world, **files, **said, "noise": noise, "seed": seed})
+        show.as_json({"world": world, **files, **counts, "noise": noise, "seed": seed})
     elif not quiet:
-        click.echo(f"{out}: {said['nodes']} nodes, {said['edges']} edges")
+        click.echo(f"{out}: {counts['nodes']} nodes, {counts['edges']} edges")

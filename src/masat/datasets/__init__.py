@@ -1,4 +1,4 @@
-"""The public benchmark graphs: fetched by name, checked, and the truth of those on a grid."""
+"""The public benchmark graphs, fetched by name and checked, and the truth of the grid worlds."""
 
 from __future__ import annotations
 

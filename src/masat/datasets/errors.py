@@ -6,4 +6,4 @@ from masat.errors import MasatError
 
 
 class DatasetError(MasatError):
-    """A dataset is not known, cannot be had, or is not what it should be."""
+    """A dataset that is unknown, cannot be downloaded, or has a wrong checksum."""

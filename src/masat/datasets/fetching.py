@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 import os
 import sys
-import zlib
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 from masat.datasets.errors import DatasetError
 from masat.datasets.registry import Dataset, find
+from masat.errors import FormatError
 from masat.formats import read
+from masat.formats.text import load_text
 from masat.graph import PoseGraph
 
 FOLDER_VARIABLE = "MASAT_DATASETS"
-"""Environment variable that names a folder of copies, searched before anything is downloaded."""
-
-_GZIP = b"\x1f\x8b"
+"""Environment variable that names a folder of copies, which is searched before a download."""
 
 
 def fetch(name: str) -> Path:
-    """Return the file of a dataset, downloaded when it is first asked for.
+    """Return the file of a dataset, which is downloaded at the first call.
 
-    Downloads are kept in the user's cache. A folder of copies, named by the environment variable
-    `MASAT_DATASETS`, comes first: the file may lie there or in its subfolder `2d` or `3d`, gzipped
-    or not. Either way its SHA-256 is checked.
+    Downloads are kept in the user's cache. If the environment variable `MASAT_DATASETS` names a
+    folder of copies, the file is first looked for there and in the subfolder `2d` or `3d`,
+    compressed by gzip or not. In both cases its SHA-256 is checked.
 
     Parameters
     ----------
@@ -37,6 +35,7 @@ def fetch(name: str) -> Path:
     Returns
     -------
     Path
+        The file.
 
     Raises
     ------
@@ -55,7 +54,8 @@ def load(name: str, **options: Any) -> PoseGraph:
     name : str
         One of `masat.datasets.names()`.
     **options
-        Those of `masat.read`: "cubicle" has indefinite matrices and needs `indefinite`.
+        Options of `masat.read`. The dataset "cubicle" has indefinite information matrices and
+        needs `indefinite`.
 
     Returns
     -------
@@ -64,23 +64,23 @@ def load(name: str, **options: Any) -> PoseGraph:
     Raises
     ------
     DatasetError
-        As `fetch`.
+        As from `fetch`.
     FormatError
-        As `masat.read`.
+        As from `masat.read`.
     """
     return read(fetch(name), **{"format": find(name).format, **options})
 
 
 def _copy(dataset: Dataset) -> Path | None:
-    """Return the file in the folder of copies, or None if there is neither."""
+    """Return the file in the folder of copies; None if there is no such folder or file."""
     named = os.environ.get(FOLDER_VARIABLE)
     if not named:
         return None
     folder = Path(named)
     if not folder.is_dir():
-        raise DatasetError(f"{FOLDER_VARIABLE} names {folder}, which is no folder")
-    for place in (folder, folder / f"{dataset.dimension}d"):
-        for file in (place / dataset.file, place / f"{dataset.file}.gz"):
+        raise DatasetError(f"{FOLDER_VARIABLE} names {folder}, which is not a folder")
+    for parent in (folder, folder / f"{dataset.dimension}d"):
+        for file in (parent / dataset.file, parent / f"{dataset.file}.gz"):
             if file.is_file():
                 _check(file, dataset)
                 return file
@@ -89,9 +89,10 @@ def _copy(dataset: Dataset) -> Path | None:
 
 def _check(file: Path, dataset: Dataset) -> None:
     try:
-        data = file.read_bytes()
-        text = gzip.decompress(data) if data.startswith(_GZIP) else data
-    except (EOFError, OSError, zlib.error) as error:
+        text = load_text(file)
+    except FormatError as error:
+        raise DatasetError(str(error)) from None
+    except OSError as error:
         raise DatasetError(f"{file}: cannot be read: {error}") from None
     found = hashlib.sha256(text).hexdigest()
     if found != dataset.sha256:
@@ -102,7 +103,7 @@ def _check(file: Path, dataset: Dataset) -> None:
 
 
 def _download(dataset: Dataset) -> Path:
-    # They take longer to import than most graphs to read.
+    # These modules take longer to import than most graphs take to read.
     import pooch
 
     from masat.datasets.progress import Bar
@@ -119,7 +120,7 @@ def _download(dataset: Dataset) -> Path:
             )
     except OSError as error:
         raise DatasetError(
-            f"cannot download {dataset.name!r} from {dataset.url}: {error}; without network, set "
+            f"cannot download {dataset.name!r} from {dataset.url}: {error}; without a network, set "
             f"{FOLDER_VARIABLE} to a folder that holds {dataset.file}"
         ) from error
     except ValueError as error:

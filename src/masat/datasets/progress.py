@@ -1,4 +1,4 @@
-"""How far a download has come, on a terminal."""
+"""The progress of a download on a terminal."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
 
 
 class Bar:
-    """A progress bar as pooch wants one; it vanishes with its context.
+    """A progress bar with the interface that pooch expects; it disappears with its context.
 
     Attributes
     ----------
     total : int
-        Bytes to come, 0 if the server does not tell; pooch sets it.
+        Size of the download in bytes, 0 if the server does not say; set by pooch.
     """
 
     total: int = 0
@@ -28,11 +28,11 @@ class Bar:
         self._task = self._bar.add_task(name, total=None)
 
     def update(self, count: int) -> None:
-        """Take note of so many more bytes."""
+        """Advance by a number of bytes."""
         self._bar.update(self._task, advance=count, total=self.total or None)
 
     def reset(self) -> None:
-        """Begin again at none."""
+        """Go back to zero bytes."""
         self._bar.reset(self._task)
 
     def close(self) -> None:

@@ -1,9 +1,9 @@
-"""Which graphs there are, where they lie, and what they hold: the table `registry.toml`."""
+"""The table `registry.toml`: all datasets, their sources and their sizes."""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -22,21 +22,21 @@ class Dataset:
     Attributes
     ----------
     name : str
-        What `masat.datasets.fetch` calls it.
+        Name for `masat.datasets.fetch`.
     repository, commit, path : str
-        GitHub's OWNER/NAME, the commit, and the path of the file there.
+        OWNER/NAME on GitHub, the commit, and the path of the file in the repository.
     license : str
-        What the repository states for itself as a whole; none has one for its data.
+        License of the repository as a whole; none states one for its data.
     file : str
-        Name of the file in a folder of copies; that of `path` where it is unique.
+        Name of the file in a folder of copies; the name in `path` if that is unique.
     sha256 : str
-        Checksum of the file, uncompressed.
+        Checksum of the decompressed file.
     dimension : int
         2 or 3.
     nodes, edges : int
-        How many.
+        Number of nodes and of edges.
     format : str or None
-        One of `masat.formats.FORMATS` where the tags leave it open.
+        One of `masat.formats.FORMATS` if the tags of the file fit several.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Dataset:
 
     @property
     def url(self) -> str:
-        """Where the file is fetched from."""
+        """Address of the file."""
         return f"{_HOST}/{self.repository}/{self.commit}/{self.path}"
 
 
@@ -69,21 +69,24 @@ DATASETS: dict[str, Dataset] = _datasets()
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of all datasets, planar ones first."""
+    """Return the names of all datasets, those in 2D first."""
     return tuple(DATASETS)
 
 
 def find(name: str) -> Dataset:
-    """Return the dataset of a name; an unknown one is a DatasetError."""
-    if name not in DATASETS:
-        raise unknown("dataset", name, DATASETS)
+    """Return the dataset with a name; an unknown name is a DatasetError."""
+    check_name("dataset", name, DATASETS)
     return DATASETS[name]
 
 
-def unknown(what: str, name: str, known: Iterable[str]) -> DatasetError:
-    """Return the error for an unknown name, with the known ones that are close to it."""
+def check_name(what: str, name: object, known: Collection[str]) -> None:
+    """Refuse an unknown name; the error lists the known names that are similar to it."""
+    if not isinstance(name, str):
+        raise DatasetError(f"the name of a {what} must be a string, got {name!r}")
+    if name in known:
+        return
     folded = {each.casefold(): each for each in known}
     close = get_close_matches(name.casefold(), folded, n=5, cutoff=0.5)
-    listed = "close to it" if close else "known"
-    those = ", ".join(folded[c] for c in close or folded)
-    return DatasetError(f"unknown {what} {name!r}; {listed}: {those}")
+    listed = "similar names" if close else "known"
+    names = ", ".join(folded[c] for c in close or folded)
+    raise DatasetError(f"unknown {what} {name!r}; {listed}: {names}")

@@ -1,4 +1,4 @@
-"""The truths of the worlds that MASAT was evaluated on."""
+"""The true graphs of the worlds that MASAT was evaluated on."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from functools import cache
 
 from masat.datasets.fetching import load
 from masat.datasets.grid import recover_grid_truth
-from masat.datasets.registry import unknown
+from masat.datasets.registry import check_name
 from masat.graph import PoseGraph
 
 GRID_WORLDS: dict[str, str] = {
@@ -14,12 +14,13 @@ GRID_WORLDS: dict[str, str] = {
     "City10k": "city10k",
     "Manhattan10000": "10kHog-man",
 }
-"""The names in the evaluation of the MASAT paper, and the datasets that the worlds come from."""
+"""Names of worlds in the evaluation of the MASAT paper, and the datasets that they come from."""
 
 
-@cache
 def ground_truth(name: str) -> PoseGraph:
-    """Return the truth of an evaluation world, recovered from its noisy original and remembered.
+    """Return the true graph of an evaluation world, recovered from its noisy original.
+
+    It is computed at the first call; later calls return the same graph.
 
     Parameters
     ----------
@@ -29,14 +30,18 @@ def ground_truth(name: str) -> PoseGraph:
     Returns
     -------
     PoseGraph
-        Exact poses and measurements, identity information: `recover_grid_truth` of the dataset.
-        Make noisy instances with `masat.worlds.perturb`.
+        The graph that `recover_grid_truth` returns for the dataset: exact poses and measurements,
+        identity information. `masat.worlds.perturb` adds noise to it.
 
     Raises
     ------
     DatasetError
-        If the name is unknown, or as `fetch`.
+        If the name is unknown, or as from `fetch`.
     """
-    if name not in GRID_WORLDS:
-        raise unknown("grid world", name, GRID_WORLDS)
-    return recover_grid_truth(load(GRID_WORLDS[name]))
+    check_name("grid world", name, GRID_WORLDS)
+    return _recovered(GRID_WORLDS[name])
+
+
+@cache
+def _recovered(dataset: str) -> PoseGraph:
+    return recover_grid_truth(load(dataset))

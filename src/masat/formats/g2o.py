@@ -1,8 +1,8 @@
 """The format of g2o: VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX.
 
-Information is the upper triangle, row by row, in the order of the error: x, y, theta, or
-translation and vector part of the quaternion. Kuemmerle et al., g2o: a general framework for graph
-optimization, ICRA 2011.
+Information is the upper triangle, row by row, in the order of the residual: x, y, theta in 2D, the
+translation and the vector part of the quaternion in 3D. Source: Kuemmerle et al., g2o: a general
+framework for graph optimization, ICRA 2011.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import numpy as np
 
 from masat._core import format_lines
 from masat.errors import GraphError
+from masat.formats.labels import label_texts
 from masat.formats.table import Format, Kind, PoseText, Record
 from masat.graph import PoseGraph
 
@@ -18,21 +19,27 @@ _TAGS = {2: ("VERTEX_SE2", "EDGE_SE2"), 3: ("VERTEX_SE3:QUAT", "EDGE_SE3:QUAT")}
 
 
 def format_graph(graph: PoseGraph) -> bytes:
-    """Return the graph as g2o text; its numbers read back as the same doubles."""
+    """Return the graph as g2o text, whose numbers read back as the same doubles."""
     if graph.poses is None and len(graph.edges) == 0:
-        raise GraphError("a graph with neither poses nor edges has no text")
+        raise GraphError("a graph with neither poses nor edges cannot be written")
+    labels = getattr(graph, "labels", None)
     vertex, edge = _TAGS[graph.dimension]
     upper = np.triu_indices(graph.dof)
     values = np.hstack([graph.measurements, graph.information[:, upper[0], upper[1]]])
     if graph.poses is not None:
-        vertices, held = format_lines(vertex, graph.ids[:, None], graph.poses), graph.fixed
+        vertices, fixed = format_lines(vertex, graph.ids[:, None], graph.poses), graph.fixed
     else:
         # A node with neither pose nor edge has no line that FIX could refer to.
-        vertices, held = b"", graph.fixed[np.isin(graph.fixed, graph.edges)]
+        vertices, fixed = b"", graph.fixed[np.isin(graph.fixed, graph.edges)]
     return (
         vertices
-        + format_lines("FIX", held[:, None], np.empty((len(held), 0)))
-        + format_lines(edge, graph.edges, np.ascontiguousarray(values))
+        + format_lines("FIX", fixed[:, None], np.empty((len(fixed), 0)))
+        + format_lines(
+            edge,
+            graph.edges,
+            np.ascontiguousarray(values),
+            [] if labels is None else label_texts(labels),
+        )
     )
 
 
@@ -47,4 +54,5 @@ FORMAT = Format(
         Record("FIX", Kind.FIX),
     ),
     format_graph=format_graph,
+    suffixes=(".g2o", ".txt", ""),
 )

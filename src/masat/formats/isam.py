@@ -1,8 +1,8 @@
 """The format of iSAM: ODOMETRY, EDGE2, EDGE3, with the square root of the information.
 
-The root is upper triangular, R with information R'R, listed row by row in the order of the
-measurement: x, y, theta, or x, y, z, roll, pitch, yaw. There are no vertices. Kaess, Ranganathan,
-Dellaert, iSAM: incremental smoothing and mapping, 2008.
+The square root is the upper triangular matrix R whose product R'R is the information. It is listed
+row by row in the order of the measurement: x, y, theta, or x, y, z, roll, pitch, yaw. There are no
+vertices. Source: Kaess, Ranganathan, Dellaert, iSAM: incremental smoothing and mapping, 2008.
 """
 
 from __future__ import annotations

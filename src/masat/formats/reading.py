@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import gzip
 import os
 import warnings
-import zlib
+from dataclasses import fields
 from itertools import islice
 from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 
 from masat import _core
 from masat.arrays import Floats
 from masat.errors import FormatError, GraphError, InformationError, MasatWarning
+from masat.formats.labels import read_labels
 from masat.formats.registry import FORMATS, printable, recognize
 from masat.formats.table import Format
+from masat.formats.text import MAX_BYTES, load_text
 from masat.graph import PoseGraph
 from masat.information import Repair, nearest_positive_definite
 
-_GZIP = b"\x1f\x8b"
-_TAGS_TOLD = 10
+_MAX_TAG_NOTES = 10  # unknown tags with a note of their own; the others share one
 
 
 def read(
@@ -28,34 +29,43 @@ def read(
     *,
     format: str | None = None,  # noqa: A002
     indefinite: Repair = "error",
+    max_bytes: int = MAX_BYTES,
 ) -> PoseGraph:
-    """Read a pose graph from a file, gzipped or not.
+    """Read a pose graph from a file, which may be compressed by gzip.
 
     Parameters
     ----------
     path : path-like
-        The file. Its format is recognized by its tags, not by its name.
+        A regular file. Its format is recognized by its tags, not by its name.
     format : str, optional
-        One of `masat.formats.FORMATS`, where the tags leave it open (EDGE2 is iSAM's or TORO's) or
-        mislead.
+        One of `masat.formats.FORMATS`, for a file whose tags fit several formats (`EDGE2` is both
+        iSAM's and TORO's) or mislead.
     indefinite : {"error", "nearest", "identity"}
-        What to do if information matrices are not positive definite: refuse; raise their
-        eigenvalues to the nearest positive-definite ones; give every edge the identity.
+        What to do if information matrices are not positive definite. "error" refuses the file,
+        "nearest" replaces those matrices by the nearest positive-definite ones, "identity" gives
+        every edge the identity matrix.
+    max_bytes : int
+        Largest size of the text, decompressed; a larger one is refused.
 
     Returns
     -------
     PoseGraph
-        Its `notes` tell what was passed over or assumed; each is also a `MasatWarning`.
+        Its `notes` list everything that was skipped, assumed or repaired. Each note is also a
+        `MasatWarning`.
 
     Raises
     ------
     FormatError
-        Naming the file, the line, and what was expected there.
+        If the file holds no graph, naming the file, the line, and what was expected there; if
+        `format`, `indefinite` or `max_bytes` is none of the values above; or if the memory does
+        not suffice.
     OSError
-        If the file cannot be read.
+        If the file cannot be opened or read.
     """
     path = Path(path)
-    graph = read_without_warnings(path, format=format, indefinite=indefinite)
+    graph = read_without_warnings(
+        path, format=format, indefinite=indefinite, max_bytes=max_bytes
+    )
     for note in graph.notes:
         warnings.warn(f"{path}: {note}", MasatWarning, stacklevel=2)
     return graph
@@ -66,58 +76,66 @@ def read_without_warnings(
     *,
     format: str | None = None,  # noqa: A002
     indefinite: Repair = "error",
+    max_bytes: int = MAX_BYTES,
 ) -> PoseGraph:
     """Read a pose graph as `read` does, with its notes but without warnings, as threads need it."""
-    if indefinite not in ("error", "nearest", "identity"):
-        raise ValueError(f'indefinite must be "error", "nearest" or "identity", got {indefinite!r}')
-    text = _text(path)
-    table, notes = _format(format, text, path)
+    if indefinite not in get_args(Repair):
+        raise FormatError(
+            f'indefinite must be "error", "nearest" or "identity", got {indefinite!r}', path
+        )
+    if not isinstance(max_bytes, int) or max_bytes < 1:
+        raise FormatError(f"max_bytes must be a positive integer, got {max_bytes!r}", path)
+    try:
+        parsed, notes = _parse(path, format, max_bytes)
+        return _graph(parsed, path, indefinite, notes)
+    except MemoryError:
+        raise FormatError("there is not enough memory to read this file", path) from None
+
+
+def _parse(path: Path, name: str | None, max_bytes: int) -> tuple[_core.ParsedGraph, list[str]]:
+    """Return the contents of a file and the notes about them."""
+    text = load_text(path, max_bytes)
+    table, notes = _format(name, text, path)
     try:
         parsed = _core.parse(text, table.records)
     except _core.ParseError as error:
         line, message = error.args
         raise FormatError(message, path, line) from None
-    notes += _remarks(parsed)
-    return _graph(parsed, path, indefinite, notes)
-
-
-def _text(path: Path) -> bytes:
-    data = path.read_bytes()
-    if not data.startswith(_GZIP):
-        return data
-    try:
-        return gzip.decompress(data)
-    except (EOFError, OSError, zlib.error) as error:
-        raise FormatError(f"a damaged gzip file: {error}", path) from None
+    return parsed, notes + _notes(parsed)
 
 
 def _format(name: str | None, text: bytes, path: Path) -> tuple[Format, list[str]]:
     if name is None:
         table, rivals = recognize(text, path)
         return table, [
-            f"the tags fit {table.name} and {rival}: read as {table.name}; "
-            f'choose with format="{rival}"'
+            f"the tags fit {table.name} and {rival}: read as {table.name}; if it is {rival}, name "
+            f'the format (format="{rival}" in Python, --format {rival} on the command line)'
             for rival in rivals
         ]
     if name not in FORMATS:
-        raise ValueError(f"unknown format {name!r}; known: {', '.join(FORMATS)}")
+        raise FormatError(f"unknown format {name!r}; known: {', '.join(FORMATS)}", path)
     return FORMATS[name], []
 
 
-def _remarks(parsed: _core.ParsedGraph) -> list[str]:
+def _notes(parsed: _core.ParsedGraph) -> list[str]:
     unknown = parsed["unknown"].items()
     notes = [
-        f"{count} lines with the unknown tag {printable(tag)} passed over (first: line {line})"
-        for tag, (count, line) in islice(unknown, _TAGS_TOLD)
+        f"{_count(count, 'line')} with the unknown tag {printable(tag)} skipped (first: line "
+        f"{line})"
+        for tag, (count, line) in islice(unknown, _MAX_TAG_NOTES)
     ]
-    if len(unknown) > _TAGS_TOLD:
-        more = sum(count for _, (count, _) in islice(unknown, _TAGS_TOLD, None))
-        notes.append(f"{more} lines with {len(unknown) - _TAGS_TOLD} more unknown tags passed over")
-    if parsed["edges_without_information"]:
-        notes.append(
-            f"{parsed['edges_without_information']} edges have no information: identity taken"
-        )
+    if len(unknown) > _MAX_TAG_NOTES:
+        more = sum(count for _, (count, _) in islice(unknown, _MAX_TAG_NOTES, None))
+        tags = _count(len(unknown) - _MAX_TAG_NOTES, "more unknown tag")
+        notes.append(f"{_count(more, 'line')} with {tags} skipped")
+    if missing := parsed["edges_without_information"]:
+        verb = "has" if missing == 1 else "have"
+        notes.append(f"{_count(missing, 'edge')} {verb} no information: assumed the identity")
     return notes
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def _graph(
@@ -135,6 +153,9 @@ def _graph(
             int(parsed["fixed_lines"][k]),
         )
     information = parsed["information"]
+    optional: dict[str, Any] = {}
+    if parsed["edge_labels"] is not None and "labels" in {f.name for f in fields(PoseGraph)}:
+        optional["labels"] = read_labels(parsed["edge_labels"])
 
     def build(matrices: Floats) -> PoseGraph:
         return PoseGraph.from_arrays(
@@ -145,6 +166,7 @@ def _graph(
             poses=parsed["vertex_poses"] if with_vertices else None,
             fixed=parsed["fixed_ids"],
             notes=notes,
+            **optional,
         )
 
     try:
@@ -153,7 +175,8 @@ def _graph(
         except InformationError as error:
             if indefinite == "error":
                 raise InformationError(
-                    f'{error}; go on with indefinite="nearest" or indefinite="identity"',
+                    f'{error}; to repair them, choose "nearest" or "identity" (indefinite="nearest"'
+                    " in Python, --indefinite nearest on the command line)",
                     edge=error.edge or 0,
                     count=error.count,
                 ) from None
@@ -161,7 +184,7 @@ def _graph(
                 how = "replaced by the nearest positive-definite ones"
                 repaired = nearest_positive_definite(information)
             else:
-                how = "so every edge got the identity"
+                how = "every edge has the identity instead"
                 repaired = np.broadcast_to(np.eye(information.shape[1]), information.shape)
             notes.append(f"{error.count} information matrices are not positive definite: {how}")
             return build(repaired)
@@ -170,6 +193,7 @@ def _graph(
 
 
 def _line(parsed: _core.ParsedGraph, error: GraphError) -> int | None:
+    """Return the line of the edge or node that an error names, if it names one."""
     if error.edge is not None:
         return int(parsed["edge_lines"][error.edge])
     if error.node is not None and len(parsed["vertex_lines"]):

@@ -1,4 +1,4 @@
-"""The formats, and the one place that recognizes them."""
+"""All formats, and how the format of a text is recognized."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from masat.errors import FormatError
 from masat.formats import g2o, isam, toro, untagged
 from masat.formats.table import Format
 
-# Where two formats know equally many lines of a file, the earlier one is taken: a TORO file with
-# EDGE2 has its VERTEX2 lines too, so EDGE2 alone is iSAM's.
+# Where two formats know equally many lines of a file, the earlier one is taken. A TORO file with
+# EDGE2 has VERTEX2 lines too, so a file with EDGE2 alone is iSAM's.
 FORMATS: dict[str, Format] = {
     f.name: f
     for f in (g2o.FORMAT, isam.FORMAT, toro.FORMAT, untagged.TRAJECTORY, untagged.EDGE_LIST)
@@ -18,18 +18,18 @@ FORMATS: dict[str, Format] = {
 
 
 def printable(tag: bytes) -> str:
-    """Return a tag as short ASCII that a terminal can show."""
+    """Return a tag as a short ASCII string that a terminal can show."""
     text = "".join(chr(c) if 32 <= c < 127 else "?" for c in tag[:40])
     return text + ("..." if len(tag) > 40 else "")
 
 
 def recognize(text: bytes, path: Path) -> tuple[Format, list[str]]:
-    """Return the format that knows most lines of a text, and the names of its rivals.
+    """Return the format that knows most lines of a text, and the names of those that know as many.
 
     Raises
     ------
     FormatError
-        If no format knows any line, or the text is not text.
+        If the text is binary or empty, or no format knows any of its lines.
     """
     if b"\0" in text[:4096]:
         raise FormatError("a binary file, expected the text of a pose graph", path)

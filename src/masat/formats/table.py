@@ -1,4 +1,4 @@
-"""What a format is: a table of records for the core's parser, and perhaps a writer."""
+"""The parts of a format: a table of records for the core's parser, and optionally a writer."""
 
 from __future__ import annotations
 
@@ -21,15 +21,17 @@ class Format:
     Attributes
     ----------
     name : str
-        By which callers choose it.
+        Name by which callers choose the format.
     summary : str
-        One line for people.
+        One line that describes the format.
     records : tuple of Record
-        What each tag means; lines with other tags are counted and passed over.
+        Meaning of each tag. Lines with other tags are counted and skipped.
     columns : tuple of int
-        Of lines without a tag, if the format has such.
+        Number of columns of the lines without a tag, if the format has such lines.
     format_graph : callable or None
-        Makes the text of a graph.
+        Function that returns the text of a graph; None if the format can only be read.
+    suffixes : tuple of str
+        Suffixes of the files that are written in this format.
     """
 
     name: str
@@ -37,9 +39,10 @@ class Format:
     records: tuple[Record, ...]
     columns: tuple[int, ...] = ()
     format_graph: Callable[[PoseGraph], bytes] | None = None
+    suffixes: tuple[str, ...] = ()
 
     def tags(self) -> set[bytes]:
-        """Return the tags, in the words of `count_tags`."""
+        """Return the tags as `count_tags` names them."""
         return {r.tag.encode() for r in self.records if r.tag} | {
             f"{n} columns".encode() for n in self.columns
         }

@@ -1,8 +1,8 @@
 """The format of TORO: VERTEX2 and EDGE2, VERTEX and EDGE, VERTEX3 and EDGE3.
 
-Planar information is listed as xx xy yy tt xt yt; spatial information belongs to x, y, z, roll,
-pitch, yaw. Grisetti, Stachniss, Burgard, Nonlinear constraint network optimization for efficient
-map learning, 2009.
+Information in 2D is listed as xx xy yy tt xt yt, where t is theta; in 3D it is the upper triangle
+in the order x, y, z, roll, pitch, yaw. Source: Grisetti, Stachniss, Burgard, Nonlinear constraint
+network optimization for efficient map learning, 2009.
 """
 
 from __future__ import annotations

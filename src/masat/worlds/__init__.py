@@ -1,6 +1,6 @@
-"""Simulated worlds: the truth of a robot's walk, and noise for its measurements.
+"""Simulated worlds: the true graph of a robot's walk, and noise for its measurements.
 
-A world is one file here and one line of `WORLDS`.
+A world is one file in this folder and one line of `WORLDS`.
 """
 
 from __future__ import annotations
@@ -24,6 +24,6 @@ WORLDS: dict[str, Callable[..., PoseGraph]] = {
     "grid": grid,
     "garage": garage,
 }
-"""Called as world(nodes, edges, seed=0); each has sizes of its own if not told."""
+"""Functions of (nodes, edges, seed=0); the default sizes are those of public graphs."""
 
 __all__ = ["WORLDS", "city", "garage", "grid", "manhattan", "perturb", "sphere", "torus"]

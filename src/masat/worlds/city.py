@@ -1,4 +1,4 @@
-"""The city world: drives along blocks, with turns at crossings, as in City10k."""
+"""The city world: a drive along blocks, with turns at crossings, as in City10k."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import numpy as np
 
 from masat.errors import GraphError
 from masat.graph import PoseGraph
-from masat.worlds.closures import check_size, generator
+from masat.worlds.closures import check_integers, check_size, generator
 from masat.worlds.streets import street_world, walk
 
-# Quarter turns to the left at a crossing; relative frequencies as in City10k.
+# Quarter turns to the left at a crossing, and their relative frequencies in City10k.
 _TURNS = np.array([0, 1, 3])
 _FREQUENCIES = np.array([0.774, 0.113, 0.113])
 _EDGES_PER_NODE = 20687 / 10000
-# Poses a meter of street where closures are few, as in City10k, and for each closure a pose.
-# Spread evenly, poses of this density offer about twice the closures wanted.
+# Poses per meter of street: at least as many as in City10k, more where more closures per pose are
+# asked for. Poses of this density, spread evenly, offer about twice the closures asked for.
 _DENSITY, _PER_CLOSURE = 2.2, 1.5
 
 
@@ -26,27 +26,27 @@ def city(
     extent: int | None = None,
     seed: int = 0,
 ) -> PoseGraph:
-    """Simulate a drive through the streets of a city with loop closures where it comes again.
+    """Simulate a drive through the streets of a city, with loop closures at revisited streets.
 
-    Steps are of one meter. Only at crossings the robot turns, to the left or to the right, as often
-    as in City10k (Kaess, Ranganathan, Dellaert, iSAM: Incremental smoothing and mapping, 2008);
-    where the city ends it turns to a side. It faces the way it went. Loop closures are drawn at
-    random among the pairs of poses at most one meter apart.
+    Each step is one meter long. The robot turns only at crossings, to the left or to the right, as
+    often as in City10k (Kaess, Ranganathan, Dellaert, iSAM: Incremental smoothing and mapping,
+    2008), and at the border of the city. It faces its direction of travel. Loop closures are drawn
+    at random from the pairs of poses at most one meter apart.
 
     Parameters
     ----------
     nodes : int
         Number of poses.
     edges : int, optional
-        Number of measurements, nodes - 1 of them odometry. Default: the share of City10k, 20687
-        for 10000 nodes.
+        Number of measurements, nodes - 1 of them odometry. Default: as many per node as in
+        City10k, 20687 for 10000 nodes.
     block : int
-        From crossing to crossing, meters.
+        Distance between crossings, meters.
     extent : int, optional
-        Side of the square, meters; only whole blocks are built. Default: one that offers the loop
-        closures asked for.
+        Side of the square city in meters, rounded down to whole blocks. Default: a side with which
+        the drive offers enough loop closures.
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
 
     Returns
     -------
@@ -56,13 +56,18 @@ def city(
     Raises
     ------
     GraphError
-        If there are fewer than two nodes, fewer edges than odometry needs, or more than the drive
-        offers.
+        If a size is not an integer, there are fewer than two nodes or fewer edges than odometry
+        needs, or the walk offers too few loop closures.
     """
     check_size(nodes, edges)
     usual = round(_EDGES_PER_NODE * nodes)
+    check_integers(block=block, extent=block if extent is None else extent)
     if block < 1 or (extent is not None and extent < block):
-        raise GraphError(f"a city needs a block, of a meter at least, got {block} of {extent} m")
+        side = "" if extent is None else f" in an extent of {extent} m"
+        raise GraphError(
+            "a city has at least one block, and a block is at least 1 m long; got a block of "
+            f"{block} m{side}"
+        )
     if extent is None:
         density = max(_DENSITY, _PER_CLOSURE * ((edges or usual) - nodes) / nodes)
         # The streets of a square of side e are 2 e (e / block + 1) long.
@@ -73,4 +78,4 @@ def city(
     turns = random.choice(_TURNS, size=crossings, p=_FREQUENCIES)
     sides = random.choice([1, 3], size=crossings)
     headings = walk(np.column_stack([turns, sides, sides + 2]), extent // block)
-    return street_world(np.repeat(headings, block)[: nodes - 1], edges, usual, random)
+    return street_world(np.repeat(headings, min(block, nodes))[: nodes - 1], edges, usual, random)

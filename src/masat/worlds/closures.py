@@ -1,4 +1,4 @@
-"""What all worlds share: where a track meets itself, which of that is measured, and exactly."""
+"""Loop closures of all worlds: where a track meets itself, and which pairs are measured."""
 
 from __future__ import annotations
 
@@ -12,20 +12,23 @@ from masat.errors import GraphError
 from masat.graph import PoseGraph
 from masat.lie import between
 
+# The core counts nodes and edges in 32 bits.
+_MAX_COUNT = 2**31 - 1
+
 
 class NearPairs:
-    """The pairs of poses in the same or in adjacent cells, counted without being listed.
+    """The pairs of poses in the same or in adjacent cells, counted without a list of them.
 
-    Where a walk crosses its track often, the pairs are far more than a graph takes.
+    A walk that often crosses its own track has far more such pairs than a graph has edges.
 
     Parameters
     ----------
     cells : ndarray of int64, (n, d)
-        Cell of each pose, in the order of time.
+        Cell of each pose, in temporal order.
     offsets : array_like of int, (k, d)
-        From the cell of the later pose to those of the earlier ones.
+        Offsets from the cell of the later pose to the cells of the earlier ones.
     gap : int
-        Steps that lie at least between the two.
+        Smallest number of steps between the two poses.
     """
 
     count: int
@@ -36,7 +39,7 @@ class NearPairs:
         spans = np.ptp(cells, axis=0) + 3  # a margin, so that no offset wraps around
         weights = np.concatenate([np.cumprod(spans[::-1])[-2::-1], [1]])
         keys = (cells - cells.min(axis=0) + 1) @ weights
-        # By cell, then by time: the earlier poses of a cell are a range.
+        # Sorted by cell, then by time, so that the earlier poses of a cell are a range.
         self._keys = np.sort(keys * nodes + np.arange(nodes))
         wanted = (keys[:, None] + offsets @ weights) * nodes
         until = np.maximum(np.arange(nodes) - gap + 1, 0)
@@ -47,18 +50,18 @@ class NearPairs:
         self.count = int(self._ends[-1])
 
     def pairs(self, which: Ids) -> Ids:
-        """Return the pairs (earlier, later), (c, 2), of numbers in [0, count)."""
+        """Return the pairs (earlier, later), (c, 2), with the given numbers in [0, count)."""
         slot = np.searchsorted(self._ends, which, "right")
-        # The last pair of a slot is the last of its range.
+        # A slot is a later pose and an offset; the last pair of a slot is the last of its range.
         begins = np.concatenate([[0], self._ends[:-1]])[slot]
         earlier = self._keys[self._first[slot] + which - begins] % self._nodes
         return np.column_stack([earlier, slot // self._offsets])
 
 
-def on_lattice(places: Ids) -> NearPairs:
-    """Return the pairs at most one unit apart on a lattice; places (n, d) are whole numbers."""
-    unit = np.eye(places.shape[1], dtype=np.int64)
-    return NearPairs(places, np.concatenate([0 * unit[:1], unit, -unit]))
+def on_lattice(cells: Ids) -> NearPairs:
+    """Return the pairs of cells, (n, d), at most one unit apart on a lattice."""
+    unit = np.eye(cells.shape[1], dtype=np.int64)
+    return NearPairs(cells, np.concatenate([0 * unit[:1], unit, -unit]))
 
 
 def within(points: Floats, reach: float, gap: int) -> Ids:
@@ -78,38 +81,56 @@ def lagged(nodes: int, lags: Iterable[int]) -> Ids:
     return np.concatenate([np.empty((0, 2), np.int64), *pairs])
 
 
+def check_integers(**values: object) -> None:
+    """Refuse values that are not integers."""
+    for name, value in values.items():
+        if not isinstance(value, (int, np.integer)) or isinstance(value, bool):
+            raise GraphError(f"{name} must be an integer, got {value!r}")
+
+
 def check_size(nodes: int, edges: int | None) -> None:
-    """Refuse what no walk can be."""
+    """Refuse a number of nodes or edges that no walk can have."""
+    check_integers(nodes=nodes, edges=nodes if edges is None else edges)
     if nodes < 2 or (edges is not None and edges < nodes - 1):
-        told = "" if edges is None else f" and {edges} edges"
+        given = f"{nodes} nodes" + ("" if edges is None else f" and {edges} edges")
         raise GraphError(
-            f"a walk needs two nodes and at least an edge less than nodes, got {nodes} nodes{told}"
+            "a walk has at least two nodes, and an edge between each node and the next; got "
+            f"{given}"
         )
+    if max(nodes, edges or 0) > _MAX_COUNT:
+        raise GraphError(f"a world has at most {_MAX_COUNT} nodes and edges")
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a seed that the generator of random numbers does not take."""
+    check_integers(seed=seed)
+    if seed < 0:
+        raise GraphError(f"a seed must not be negative, got {seed}")
 
 
 def generator(seed: int) -> np.random.Generator:
-    """Return the random numbers of a world: others than those of noise of the same seed."""
-    if seed < 0:
-        raise GraphError(f"a seed is not negative, got {seed}")
+    """Return the random numbers of a world, which differ from those of noise of the same seed."""
+    check_seed(seed)
     return np.random.default_rng([seed, 1])
 
 
 def draw(
     offered: int, nodes: int, edges: int | None, usual: int, random: np.random.Generator
 ) -> Ids:
-    """Draw which of the loop closures offered are measured.
+    """Draw the loop closures that are measured from those that a walk offers.
 
     Parameters
     ----------
     offered : int
         Number of loop closures to draw from.
-    nodes, edges : int
-        Size of the graph; without edges, it gets the usual number, or fewer where fewer are
-        offered.
+    nodes : int
+        Number of nodes of the graph.
+    edges : int or None
+        Number of edges of the graph. None: the usual number, or as many as the walk offers.
     usual : int
-        Number of edges in a world of its kind.
+        Usual number of edges of such a world.
     random : Generator
-        Draws.
+        Generator that draws the loop closures.
 
     Returns
     -------
@@ -121,14 +142,14 @@ def draw(
         wanted = max(0, min(wanted, offered))
     if wanted > offered:
         raise GraphError(
-            f"the walk offers {offered} loop closures, {wanted} were asked for: ask for fewer "
-            "edges, or for a denser world"
+            f"the walk offers {offered} loop closures, but {edges} edges need {wanted}; ask for "
+            "fewer edges, or for more nodes"
         )
     return np.sort(random.choice(offered, wanted, replace=False, shuffle=False))
 
 
 def in_time(nodes: int, loops: Ids) -> Ids:
-    """Return odometry and loop closures, (m, 2), each when its second pose is reached."""
+    """Return odometry and loop closures, (m, 2), in the order of their later poses."""
     chain = np.column_stack([np.arange(nodes - 1), np.arange(1, nodes)])
     pairs = np.concatenate([chain, loops])
     return pairs[np.lexsort((pairs[:, 0] != pairs[:, 1] - 1, pairs[:, 1]))]

@@ -1,4 +1,4 @@
-"""Poses in space from points along a path."""
+"""Poses in 3D from the points of a path."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from masat.arrays import Floats
 
 
 def facing(points: Floats, up: Floats) -> Floats:
-    """Return poses that face the next point.
+    """Return poses at the points of a path, each facing the next point.
 
     Parameters
     ----------
     points : ndarray, (n, 3)
-        Path, meters, without two equal points in a row.
+        Points of the path in meters; consecutive points differ.
     up : ndarray, (n, 3) or (3,)
-        Directions that the z axes incline to, nowhere along the path.
+        Directions near which the z axes point; nowhere parallel to the path.
 
     Returns
     -------
     ndarray, (n, 7)
-        x axes ahead, y axes to the left; the last pose faces as the one before.
+        Poses whose x axes point ahead and y axes to the left; the last faces as the one before.
     """
     steps = np.diff(points, axis=0)
     ahead = _unit(np.concatenate([steps, steps[-1:]]))
@@ -37,7 +37,7 @@ def _unit(vectors: Floats) -> Floats:
 def _quaternions(r: Floats) -> Floats:
     """Return qx, qy, qz, qw, (n, 4), of rotation matrices, (n, 3, 3)."""
     x, y, z = r[:, 0, 0], r[:, 1, 1], r[:, 2, 2]
-    # 4 q q'; its row with the largest diagonal is q, up to its length.
+    # 4 q q', whose row with the largest diagonal entry is the most accurate multiple of q.
     q = np.empty((len(r), 4, 4))
     q[:, 0, 0], q[:, 1, 1], q[:, 2, 2] = 1 + x - y - z, 1 - x + y - z, 1 - x - y + z
     q[:, 3, 3] = 1 + x + y + z

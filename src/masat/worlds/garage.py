@@ -1,4 +1,4 @@
-"""The garage world: storeys one above the other, joined by ramps, as in parking-garage."""
+"""The garage world: storeys above each other, joined by ramps, as in parking-garage."""
 
 from __future__ import annotations
 
@@ -7,37 +7,37 @@ import numpy as np
 from masat.arrays import Floats
 from masat.errors import GraphError
 from masat.graph import PoseGraph
-from masat.worlds.closures import check_size, draw, generator, truth, within
+from masat.worlds.closures import check_integers, check_size, draw, generator, truth, within
 from masat.worlds.frames import facing
 
 _EDGES_PER_NODE = 6275 / 1661
-_LAPS = 2
+_LAPS = 2  # per storey
 _HEIGHT = 3.0  # meters from storey to storey
 _RAMP = 24  # steps of a ramp, one full circle
-_REACH = 3.2  # meters: a storey up or down, a step ahead or back
+_REACH = 3.2  # meters that a loop closure spans at most: one storey down and one step along
 
 
 def garage(
     nodes: int = 1661, edges: int | None = None, *, storeys: int = 5, seed: int = 0
 ) -> PoseGraph:
-    """Simulate a drive up a parking garage, two laps a storey, then up a winding ramp.
+    """Simulate a drive up a parking garage: two laps on each storey, then a winding ramp.
 
-    Steps are of one meter, storeys of three. The robot faces the way it goes, and pitches on the
-    ramps. Loop closures are drawn at random among the pairs of poses at most 3.2 m apart and half a
-    lap of driving: between the laps of a storey and to the storey below, as in parking-garage
-    (Kuemmerle et al., g2o, 2011).
+    Each step is one meter long, each storey three meters high. The robot faces its direction of
+    travel, and pitches on the ramps. Loop closures are drawn at random from the pairs of poses at
+    most 3.2 m apart with at least half a lap of driving between them. They join the laps of a
+    storey, and a storey to the one below, as in parking-garage (Kuemmerle et al., g2o, 2011).
 
     Parameters
     ----------
     nodes : int
-        Number of poses; the laps are as long as that takes.
+        Number of poses; it determines the length of the laps.
     edges : int, optional
-        Number of measurements, nodes - 1 of them odometry. Default: the share of parking-garage,
-        6275 for 1661 nodes.
+        Number of measurements, nodes - 1 of them odometry. Default: as many per node as in
+        parking-garage, 6275 for 1661 nodes.
     storeys : int
-        Number of storeys; for few nodes, fewer.
+        Largest number of storeys; a graph of few nodes has fewer.
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
 
     Returns
     -------
@@ -47,12 +47,14 @@ def garage(
     Raises
     ------
     GraphError
-        If there are fewer than two nodes, fewer edges than odometry needs, or more than offered.
+        If a size is not an integer, there are fewer than two nodes or fewer edges than odometry
+        needs, or the walk offers too few loop closures.
     """
     check_size(nodes, edges)
     usual = round(_EDGES_PER_NODE * nodes)
+    check_integers(storeys=storeys)
     if storeys < 1:
-        raise GraphError(f"a garage needs a storey, got {storeys}")
+        raise GraphError(f"a garage has at least one storey, got {storeys}")
     half_lap = max(9, -(-(-(-nodes // storeys) - _RAMP) // (2 * _LAPS)))
     points = _drive(nodes, half_lap)
     near = within(points, _REACH, gap=half_lap)
@@ -61,7 +63,7 @@ def garage(
 
 
 def _drive(nodes: int, half_lap: int) -> Floats:
-    """Return the points, (n, 3): laps around a rectangle, then a circle beside it that rises."""
+    """Return the points, (n, 3): laps around a rectangle, then a rising circle beside it."""
     depth = half_lap // 3
     width = half_lap - depth
     steps = np.repeat([[1, 0], [0, 1], [-1, 0], [0, -1]], [width, depth, width, depth], axis=0)
@@ -74,6 +76,6 @@ def _drive(nodes: int, half_lap: int) -> Floats:
         [np.concatenate([*[lap] * _LAPS, ramp]), np.zeros(_LAPS * len(lap) + _RAMP)]
     )
     storey[-_RAMP:, 2] = _HEIGHT * k / _RAMP
-    level, place = np.divmod(np.arange(nodes), len(storey))
-    points: Floats = storey[place] + level[:, None] * [0.0, 0.0, _HEIGHT]
+    level, index = np.divmod(np.arange(nodes), len(storey))
+    points: Floats = storey[index] + level[:, None] * [0.0, 0.0, _HEIGHT]
     return points

@@ -10,10 +10,11 @@ from masat.worlds.frames import facing
 
 
 def sphere(nodes: int = 2500, edges: int | None = None, *, seed: int = 0) -> PoseGraph:
-    """Simulate a drive over a sphere, in a spiral of as many turns as poses a turn.
+    """Simulate a drive over a sphere, along a spiral with as many turns as it has poses per turn.
 
-    Steps are of one meter at the equator. Each pose is measured from that one turn before, as in
-    sphere2500 (Kaess et al., iSAM2, 2012). The robot faces along the spiral, its z axis outward.
+    Each step is one meter long at the equator. Loop closures join each pose to the one a full turn
+    before, as in sphere2500 (Kaess et al., iSAM2, 2012). The robot faces along the spiral, its z
+    axis points outward.
 
     Parameters
     ----------
@@ -21,10 +22,10 @@ def sphere(nodes: int = 2500, edges: int | None = None, *, seed: int = 0) -> Pos
         Number of poses.
     edges : int, optional
         Number of measurements, nodes - 1 of them odometry, the others drawn at random from the
-        loop closures to the turn before; more than these are also to the poses beside.
-        Default: all to the turn before, so 4949 for 2500 nodes.
+        loop closures to the turn before; if they do not suffice, also from those to the neighbors
+        of that pose. Default: all loop closures to the turn before, 4949 edges for 2500 nodes.
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
 
     Returns
     -------
@@ -34,7 +35,8 @@ def sphere(nodes: int = 2500, edges: int | None = None, *, seed: int = 0) -> Pos
     Raises
     ------
     GraphError
-        If there are fewer than two nodes, fewer edges than odometry needs, or more than offered.
+        If a size is not an integer, there are fewer than two nodes or fewer edges than odometry
+        needs, or the walk offers too few loop closures.
     """
     check_size(nodes, edges)
     turn = max(4, round(nodes**0.5))

@@ -1,4 +1,4 @@
-"""Walks along the streets of a square grid, and their graphs, exact to the last bit."""
+"""Walks along the streets of a square grid, and their graphs without any rounding errors."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ _STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 
 
 def walk(turns: Ids, extent: int) -> Ids:
-    """Return the headings of a walk that walls turn back.
+    """Return the headings of a walk within walls.
 
     Parameters
     ----------
     turns : ndarray of int64, (n, k)
-        Quarter turns to the left before each step; of k choices the first that leads into no wall
-        is taken, or else the last.
+        Quarter turns to the left before each step. Of the k choices the walk takes the first that
+        does not lead into a wall, or else the last.
     extent : int
-        Side of the square around the origin, steps.
+        Side of the square around the origin, in steps.
 
     Returns
     -------
     ndarray of int64, (n,)
-        Headings of the steps in quarter turns, [0, 4).
+        Headings of the steps in quarter turns, in [0, 4).
     """
     low, high = -(extent // 2), extent - extent // 2
     steps = [tuple(step) for step in _STEPS.tolist()]
@@ -46,23 +46,28 @@ def walk(turns: Ids, extent: int) -> Ids:
 def street_world(
     headings: Ids, edges: int | None, usual: int, random: np.random.Generator
 ) -> PoseGraph:
-    """Return the truth of a walk from the origin, with loop closures of at most one meter.
+    """Return the true graph of a walk from the origin, with loop closures of at most one meter.
 
     Parameters
     ----------
     headings : ndarray of int64, (n - 1,)
-        Headings of the steps of one meter, quarter turns; the robot faces the way it went.
+        Headings of the steps in quarter turns; each step is one meter long.
     edges, usual : int
         Number of measurements, as in `draw`.
     random : Generator
-        Draws the closures.
+        Generator that draws the loop closures.
+
+    Returns
+    -------
+    PoseGraph
+        Exact poses, which face the direction of travel, and exact measurements.
     """
     nodes = len(headings) + 1
-    places = np.concatenate([[[0, 0]], np.cumsum(_STEPS[headings], axis=0)])
-    near = on_lattice(places)
+    cells = np.concatenate([[[0, 0]], np.cumsum(_STEPS[headings], axis=0)])
+    near = on_lattice(cells)
     loops = near.pairs(draw(near.count, nodes, edges, usual, random))
     pairs = in_time(nodes, loops)
-    poses = np.column_stack([places, _wrapped(np.concatenate([[0], headings]))])
+    poses = np.column_stack([cells, _wrapped(np.concatenate([[0], headings]))])
     exact = _rounded(between(poses[pairs[:, 0]], poses[pairs[:, 1]]))
     return PoseGraph.from_arrays(pairs, exact, poses=poses, ids=np.arange(nodes))
 
@@ -73,6 +78,6 @@ def _wrapped(quarters: Ids) -> Floats:
 
 
 def _rounded(measurements: Floats) -> Floats:
-    """Round to the grid what trigonometry left beside it."""
+    """Remove the rounding errors of trigonometry: all measurements lie on the grid."""
     quarters = np.rint(measurements[:, 2] / (np.pi / 2)).astype(np.int64)
     return np.column_stack([np.rint(measurements[:, :2]) + 0.0, _wrapped(quarters)])

@@ -12,12 +12,12 @@ _EDGES_PER_NODE = 9048 / 5000
 
 
 def torus(nodes: int = 5000, edges: int | None = None, *, seed: int = 0) -> PoseGraph:
-    """Simulate a drive over a torus, winding around its tube once along the ring.
+    """Simulate a drive over a torus, along a coil around its tube that goes once along the ring.
 
-    Steps are of about one meter, and so are the ways from turn to turn along the middle of the
-    tube; the ring is twice as wide as the tube. The robot faces along the coil, its z axis outward.
-    Loop closures are to the pose one turn before, and from the last turn to the first, as in
-    torus3D (Carlone et al., Initialization techniques for 3D SLAM, 2015).
+    Each step is about one meter long, and so is the distance between turns along the middle of the
+    tube; the ring is twice as wide as the tube. The robot faces along the coil, its z axis points
+    outward. Loop closures join each pose to the one a full turn before, and the last turn to the
+    first, as in torus3D (Carlone et al., Initialization techniques for 3D SLAM, 2015).
 
     Parameters
     ----------
@@ -25,10 +25,10 @@ def torus(nodes: int = 5000, edges: int | None = None, *, seed: int = 0) -> Pose
         Number of poses.
     edges : int, optional
         Number of measurements, nodes - 1 of them odometry, the others drawn at random from the
-        loop closures; more than these are also to the poses beside. Default: the share of torus3D,
-        9048 for 5000 nodes.
+        loop closures; if they do not suffice, also from those to the neighbors of these poses.
+        Default: as many per node as in torus3D, 9048 for 5000 nodes.
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
 
     Returns
     -------
@@ -38,7 +38,8 @@ def torus(nodes: int = 5000, edges: int | None = None, *, seed: int = 0) -> Pose
     Raises
     ------
     GraphError
-        If there are fewer than two nodes, fewer edges than odometry needs, or more than offered.
+        If a size is not an integer, there are fewer than two nodes or fewer edges than odometry
+        needs, or the walk offers too few loop closures.
     """
     check_size(nodes, edges)
     usual = round(_EDGES_PER_NODE * nodes)
@@ -49,7 +50,7 @@ def torus(nodes: int = 5000, edges: int | None = None, *, seed: int = 0) -> Pose
     ring = np.column_stack([np.cos(along), np.sin(along), np.zeros(nodes)])
     outward = ring * np.cos(around)[:, None] + np.sin(around)[:, None] * [0, 0, 1]
     poses = facing(radius * (2 * ring + outward), outward)
-    # Whole turns, so that the last meets the first at the same side of the tube.
+    # A whole number of turns, so that the last pose meets the first at the same side of the tube.
     full = (nodes - 1) // turn * turn
     loops = lagged(nodes, [turn, full])
     if edges is not None and edges - (nodes - 1) > len(loops):
