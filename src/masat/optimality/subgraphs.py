@@ -32,18 +32,10 @@ class Surroundings:
 
     def __init__(self, graph: PoseGraph) -> None:
         self.graph = graph
-        m, n = len(graph.edges), len(graph.ids)
-        ends = graph.edge_indices.T.ravel()
-        order = np.argsort(ends, kind="stable")
-        self._edges = order % max(m, 1)
-        self._start = np.searchsorted(ends[order], np.arange(n + 1))
 
     def edges_at(self, nodes: Flags) -> Ids:
         """Return the edges that touch some nodes, ascending."""
-        places = np.flatnonzero(nodes)
-        count = self._start[places + 1] - self._start[places]
-        first = self._start[places] - (np.cumsum(count) - count)
-        return np.unique(self._edges[np.repeat(first, count) + np.arange(count.sum())])
+        return self.graph.topology.incident_edges(nodes)
 
     def around(self, nodes: Flags, steps: int = 1) -> Flags:
         """Return the nodes that lie at most so many edges from some."""
