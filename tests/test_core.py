@@ -25,6 +25,48 @@ def test_edges_out_of_range_are_refused(edge):
         _core.Topology(2, np.array([edge], np.int32))
 
 
+def test_a_negative_number_of_nodes_is_refused():
+    with pytest.raises(ValueError, match="must not be negative"):
+        _core.Topology(-1, np.empty((0, 2), np.int32))
+
+
+def test_a_graph_without_nodes_has_no_components():
+    graph = _core.Topology(0, np.empty((0, 2), np.int32))
+    assert len(graph.components()) == 0
+    assert len(graph.incident_edges(np.empty(0, bool))) == 0
+    none, poses = np.empty(0, np.int32), np.empty((0, 3))
+    assert _core.place_by_masat(graph, none, poses, poses).shape == (0, 3)
+    assert _core.place_most_informed_first(graph, none, poses, poses).shape == (0, 3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_incident_edges_are_those_with_a_flagged_end(seed):
+    rng = np.random.default_rng(seed)
+    # Loops from a node to itself and repeated edges included.
+    edges = rng.integers(12, size=(30, 2)).astype(np.int32)
+    graph = _core.Topology(12, edges)
+    for fraction in (0, 0.2, 0.7, 1):
+        flags = rng.random(12) < fraction
+        found = graph.incident_edges(flags)
+        assert found.dtype == np.int64
+        assert np.array_equal(found, np.flatnonzero(flags[edges].any(axis=1)))
+    with pytest.raises(ValueError, match="one flag a node"):
+        graph.incident_edges(np.zeros(3, bool))
+
+
+def test_a_root_given_twice_is_refused():
+    a, z, roots = FLOATS[2], FLOATS[2][:1], np.array([0, 1, 0], np.int32)
+    none, w = np.empty(0, bool), np.eye(3)[None]
+    with pytest.raises(ValueError, match="root twice"):
+        _core.place_by_masat(topology(), roots, z, a)
+    with pytest.raises(ValueError, match="root twice"):
+        _core.place_most_informed_first(topology(), roots, z, a)
+    with pytest.raises(ValueError, match="root twice"):
+        _core.place_along_tree(topology(), roots, none, z, a)
+    with pytest.raises(ValueError, match="root twice"):
+        _core.place_by_toro(topology(), roots, z, w, a, 1)
+
+
 def test_arrays_that_do_not_fit_are_refused():
     a = FLOATS[2]
     with pytest.raises(ValueError, match="3 or 7"):

@@ -29,6 +29,7 @@ namespace {
 using namespace nb::literals;
 
 Topology make_topology(std::int32_t nodes, const Table<std::int32_t>& edges) {
+  require(nodes >= 0, "the number of nodes must not be negative");
   require(edges.shape(1) == 2, "edges must be (m, 2)");
   require(edges.shape(0) < (std::size_t{1} << 30), "more than 2^30 edges");
   const std::int32_t* const p = edges.data();
@@ -43,7 +44,12 @@ Topology make_topology(std::int32_t nodes, const Table<std::int32_t>& edges) {
 }
 
 void check_roots(const Topology& graph, std::span<const std::int32_t> roots) {
-  for (const std::int32_t r : roots) require(r >= 0 && r < graph.nodes(), "root out of range");
+  std::vector<bool> seen(graph.nodes());
+  for (const std::int32_t r : roots) {
+    require(r >= 0 && r < graph.nodes(), "root out of range");
+    require(!seen[r], "a node is given as root twice");
+    seen[r] = true;
+  }
 }
 
 std::vector<TreeLink> tree(const Topology& graph, const Vector<std::int32_t>& roots,
@@ -87,9 +93,10 @@ Array<double> masat_placement(const Topology& graph, const Vector<std::int32_t>&
   });
 }
 
-Array<double> most_informed_first_placement(const Topology& graph, const Vector<std::int32_t>& roots,
-                                     const Table<double>& measurements,
-                                     const Table<double>& poses) {
+Array<double> most_informed_first_placement(const Topology& graph,
+                                            const Vector<std::int32_t>& roots,
+                                            const Table<double>& measurements,
+                                            const Table<double>& poses) {
   return walked(graph, roots, measurements, poses, [&]<class Group>(Group*, auto... arguments) {
     place_most_informed_first<Group>(graph, arguments...);
   });
@@ -147,6 +154,13 @@ void bind_graph(nb::module_& m) {
             new (self) Topology(make_topology(nodes, edges));
           },
           "nodes"_a, "edges"_a)
+      .def(
+          "incident_edges",
+          [](const Topology& t, const Vector<bool>& nodes) {
+            require(nodes.shape(0) == static_cast<std::size_t>(t.nodes()), "one flag a node");
+            return as_array(t.incident_edges(span_of(nodes)));
+          },
+          "nodes"_a)
       .def("components", [](const Topology& t) { return as_array(t.components()); });
   m.def("residuals", &residuals_of, "topology"_a, "measurements"_a, "poses"_a);
   m.def("chi2_per_edge", &chi2_of_edges, "topology"_a, "measurements"_a, "information"_a,
@@ -154,8 +168,8 @@ void bind_graph(nb::module_& m) {
   m.def("place_along_tree", &tree_placement, "topology"_a, "roots"_a, "preferred"_a,
         "measurements"_a, "poses"_a);
   m.def("place_by_masat", &masat_placement, "topology"_a, "roots"_a, "measurements"_a, "poses"_a);
-  m.def("place_most_informed_first", &most_informed_first_placement, "topology"_a, "roots"_a, "measurements"_a,
-        "poses"_a);
+  m.def("place_most_informed_first", &most_informed_first_placement, "topology"_a, "roots"_a,
+        "measurements"_a, "poses"_a);
   m.def("place_by_toro", &toro_placement, "topology"_a, "roots"_a, "measurements"_a,
         "information"_a, "poses"_a, "sweeps"_a);
 }

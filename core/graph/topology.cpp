@@ -22,6 +22,21 @@ Topology::Topology(std::int32_t nodes, std::vector<Edge> edges)
   }
 }
 
+std::vector<std::int64_t> Topology::incident_edges(std::span<const bool> nodes) const {
+  std::vector<std::int64_t> out;
+  for (std::int32_t node = 0; node < this->nodes(); ++node) {
+    if (!nodes[node]) continue;
+    for (const Incidence& i : incident(node)) {
+      // An edge between two flagged nodes is taken where it ends, not where it begins.
+      const bool leads_here = i.edge >= 0;
+      if (nodes[i.node] && !leads_here) continue;
+      out.push_back(leads_here ? i.edge : ~i.edge);
+    }
+  }
+  std::sort(out.begin(), out.end());
+  return out;
+}
+
 std::vector<std::int32_t> Topology::components() const {
   std::vector<std::int32_t> label(nodes(), -1), stack;
   std::int32_t count = 0;

@@ -34,6 +34,9 @@ class Topology {
     return {incidence_.data() + start_[node], incidence_.data() + start_[node + 1]};
   }
 
+  // Edges, ascending, that touch any flagged node.
+  std::vector<std::int64_t> incident_edges(std::span<const bool> nodes) const;
+
   // Component of each node, numbered in the order of their smallest node.
   std::vector<std::int32_t> components() const;
 

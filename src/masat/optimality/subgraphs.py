@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from masat import _core
-from masat.arrays import Flags, Floats, Ids
+from masat.arrays import Flags, Floats
 from masat.graph import PoseGraph
 
 
@@ -31,13 +31,13 @@ def neighborhood(graph: PoseGraph, nodes: Flags, steps: int = 1) -> Flags:
     """Return the nodes, (n,), that are at most so many edges away from some nodes."""
     out = nodes.copy()
     for _ in range(steps):
-        out[graph.edge_indices[_incident_edges(graph, out)]] = True
+        out[graph.edge_indices[graph.topology.incident_edges(out)]] = True
     return out
 
 
 def subgraph(graph: PoseGraph, poses: Floats, inside: Flags) -> Subgraph:
     """Return the subgraph in which some nodes are free, at poses of the whole graph."""
-    edges = _incident_edges(graph, inside)
+    edges = graph.topology.incident_edges(inside)
     ends = graph.edge_indices[edges].astype(np.int64)
     nodes = np.unique(ends)
     return Subgraph(
@@ -53,14 +53,9 @@ def subgraph(graph: PoseGraph, poses: Floats, inside: Flags) -> Subgraph:
     )
 
 
-def _incident_edges(graph: PoseGraph, nodes: Flags) -> Ids:
-    """Return the edges that touch some nodes, ascending."""
-    return np.flatnonzero(nodes[graph.edge_indices].any(axis=1))
-
-
 def connected_parts(graph: PoseGraph, nodes: Flags) -> Iterator[Flags]:
     """Yield the parts of some nodes, (n,) each, that edges among them connect."""
-    edges = _incident_edges(graph, nodes)
+    edges = graph.topology.incident_edges(nodes)
     edges = edges[nodes[graph.edge_indices[edges]].all(axis=1)]
     indices = np.flatnonzero(nodes)
     if len(indices) == 0:
