@@ -142,6 +142,10 @@ def test_no_record_of_the_format_asked_for_is_an_error(read):
 def test_a_format_that_does_not_exist_is_refused_with_those_that_do(read):
     with pytest.raises(FormatError, match="unknown format 'g20'; known: " + ", ".join(FORMATS)):
         read(WORLD, format="g20")
+    with pytest.raises(FormatError, match="unknown format 7; known: g2o"):
+        read(WORLD, format=7)
+    with pytest.raises(FormatError, match="unknown format"):
+        read(WORLD, format=["g2o"])
 
 
 def test_a_repair_that_does_not_exist_is_refused_with_those_that_do(read):

@@ -41,7 +41,7 @@ def cache(tmp_path, monkeypatch):
 
 @pytest.fixture
 def host(tmp_path, monkeypatch):
-    """A folder served in the place of the public host."""
+    """A folder served instead of the public host."""
 
     class Quiet(SimpleHTTPRequestHandler):
         def log_message(self, *_):

@@ -183,7 +183,7 @@ def test_fixed_nodes_keep_their_poses_and_are_the_roots(method):
 
 def test_a_root_beside_fixed_nodes_is_refused():
     graph = PoseGraph.from_arrays([(0, 1)], [(1, 0, 0)], fixed=[0])
-    with pytest.raises(InitializationError, match="root 1 is not fixed"):
+    with pytest.raises(GraphError, match="root 1 is not fixed"):
         masat.initialize(graph, "masat", root=1)
     assert (masat.initialize(graph, "masat", root=0).poses[0] == 0).all()
 
@@ -226,8 +226,9 @@ def test_given_keeps_the_poses_and_refuses_where_there_are_none():
     bare = PoseGraph.from_arrays(graph.edges, graph.measurements)
     with pytest.raises(InitializationError, match="no poses of its own"):
         masat.initialize(bare, "given")
-    with pytest.raises(InitializationError, match="no root"):
-        masat.initialize(graph, "given", root=1)
+    rooted = masat.initialize(graph, "given", root=1)
+    assert (rooted.poses == graph.poses).all()
+    assert rooted.gauge.tolist() == [1]
 
 
 def test_unknown_methods_and_roots_are_refused():

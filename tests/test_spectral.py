@@ -94,7 +94,7 @@ def test_consistent_fixed_nodes_leave_the_truth(dimension):
 
 
 def test_a_search_cut_short_is_reported(monkeypatch):
-    monkeypatch.setattr(sys.modules["masat.initializers.spectral"], "_MOST_STEPS", 1)
+    monkeypatch.setattr(sys.modules["masat.initializers.spectral"], "_MAX_STEPS", 1)
     graph = random_graph(3, 40, 60, seed=1, noise=0.4)
     with pytest.warns(MasatWarning, match="not found in 1 steps"):
         masat.initialize(graph, "spectral")

@@ -186,9 +186,9 @@ def test_the_garage_has_storeys_with_closures_on_them_and_between_them():
 @pytest.mark.parametrize("dimension", [1, 2, 3])
 def test_near_pairs_are_those_of_a_plain_search(dimension):
     random = np.random.default_rng(dimension)
-    places = random.integers(-4, 5, (150, dimension))
-    apart = np.linalg.norm(places[:, None] - places, axis=2)
-    near = on_lattice(places)
+    cells = random.integers(-4, 5, (150, dimension))
+    apart = np.linalg.norm(cells[:, None] - cells, axis=2)
+    near = on_lattice(cells)
     earlier, later = np.nonzero(np.triu(apart <= 1, 2))
     assert near.count == len(earlier)
     assert set(map(tuple, near.pairs(np.arange(near.count)))) == set(
@@ -204,9 +204,9 @@ def test_the_truth_of_a_manhattan_is_consistent_and_on_the_grid():
     world = manhattan(600, 1000, extent=12, seed=5)
     assert (len(world.ids), len(world.edges)) == (600, 1000)
     assert chi2_per_edge(world).sum() < 1e-25
-    places = world.poses[:, :2]
-    assert (places == np.rint(places)).all()
-    assert (np.ptp(places, axis=0) <= 12).all()
+    points = world.poses[:, :2]
+    assert (points == np.rint(points)).all()
+    assert (np.ptp(points, axis=0) <= 12).all()
     assert (world.measurements[:, :2] == np.rint(world.measurements[:, :2])).all()
     quarters = world.measurements[:, 2] / (np.pi / 2)
     assert (quarters == np.rint(quarters)).all()

@@ -168,6 +168,12 @@ def test_a_format_that_cannot_be_written_is_refused(tmp_path, graph, name):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_format_that_is_no_name_is_refused(tmp_path, graph):
+    for name in (7, ["g2o"]):
+        with pytest.raises(FormatError, match="cannot write the format"):
+            write(graph, tmp_path / "graph.g2o", format=name)
+
+
 @pytest.mark.parametrize("stem", ["graph", "graph.g2o", "graph.TXT", "v1.2.G2O", ".g2o", ".hidden"])
 @pytest.mark.parametrize("gz", ["", ".gz", ".GZ"])
 def test_the_suffix_chooses_the_format(tmp_path, graph, stem, gz):

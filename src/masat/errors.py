@@ -1,4 +1,4 @@
-"""The errors and the warning of the package. All errors that it raises are `MasatError`s."""
+"""The errors and the warning of the package; every error about its input is a `MasatError`."""
 
 from __future__ import annotations
 

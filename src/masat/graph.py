@@ -203,6 +203,11 @@ class PoseGraph:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def _repr_html_(self) -> str:
+        from masat.display import graph_html
+
+        return graph_html(self)
+
     def __repr__(self) -> str:
         return (
             f"PoseGraph({self.dimension}D, {len(self.ids)} nodes, {len(self.edges)} edges, "

@@ -77,6 +77,9 @@ def main() -> None:
     except MasatError as error:
         click.echo(f"masat: {error}", err=True)
         code = EXIT_BAD_INPUT
+    except MemoryError:
+        click.echo("masat: there is not enough memory for this graph", err=True)
+        code = EXIT_BAD_INPUT
     except OSError as error:
         where = f"{error.filename}: " if error.filename is not None else ""
         click.echo(f"masat: {where}{error.strerror or error}", err=True)

@@ -112,7 +112,7 @@ def _format(name: str | None, text: bytes, path: Path) -> tuple[Format, list[str
             f'the format (format="{rival}" in Python, --format {rival} on the command line)'
             for rival in rivals
         ]
-    if name not in FORMATS:
+    if not isinstance(name, str) or name not in FORMATS:
         raise FormatError(f"unknown format {name!r}; known: {', '.join(FORMATS)}", path)
     return FORMATS[name], []
 

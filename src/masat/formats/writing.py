@@ -43,7 +43,7 @@ def write(
     writable = {name: f.format_graph for name, f in FORMATS.items() if f.format_graph}
     if format is None:
         format = format_of(path)  # noqa: A001
-    if format not in writable:
+    if not isinstance(format, str) or format not in writable:
         raise FormatError(f"cannot write the format {format!r}; known: {', '.join(writable)}", path)
     text = writable[format](graph)
     if path.suffix.lower() == ".gz":

@@ -14,7 +14,7 @@ def odometry(graph: PoseGraph) -> PoseGraph:
     """Chain the measurements between nodes with consecutive ids.
 
     In a list of ids with gaps, neighbors in the list count as consecutive; of several edges between
-    two consecutive nodes the first in the list is taken. Where the chain is interrupted, its pieces
+    two consecutive nodes the first in the list is taken. Where the chain is broken, its pieces
     are joined by the tree with the fewest other edges, and the notes tell how many.
     """
     roots, poses, notes = gauge_poses(graph)
@@ -24,7 +24,7 @@ def odometry(graph: PoseGraph) -> PoseGraph:
     if len(bridges):
         first = bridges.min()
         notes.append(
-            f"the odometry chain is interrupted: {len(bridges)} other edges bridge it, such as "
+            f"the odometry chain is broken: {len(bridges)} other edges bridge it, such as "
             f"{graph.edges[first, 0]} -> {graph.edges[first, 1]}"
         )
     return graph.with_poses(placed, notes=notes)
