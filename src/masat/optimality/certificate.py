@@ -12,10 +12,11 @@ from masat.optimality.bounds import TIGHT, chi2_bound, lifted_bound
 from masat.optimality.search import lower_minimum
 from masat.optimizers import Result, optimize
 from masat.optimizers.equations import normal_equations, rounding_level
+from masat.optimizers.termination import blur
 from masat.progress import Progress
 
 # Times the chi2 that the rounding of coordinates makes: chi2 below it is zero to rounding.
-_ROUNDING_FACTOR = 100.0
+_ZERO = 100.0
 
 Status: TypeAlias = Literal["optimal", "refuted", "undecided"]
 
@@ -123,13 +124,13 @@ def certify(
         raise OptimizationError("the graph has no poses: there is nothing to certify")
     progress = progress or Progress()
     initial = graph.chi2
-    zero = _ROUNDING_FACTOR * rounding_level(graph)
-    if initial <= zero:
+    rounding = rounding_level(graph)
+    if initial <= _ZERO * rounding:
         return Certificate(
             "optimal", "globally optimal: chi2 is zero to rounding", initial, 0.0, initial, None
         )
     try:
-        return _certify(graph, initial, zero, search, seed, threads, progress, equations)
+        return _certify(graph, initial, rounding, search, seed, threads, progress, equations)
     except (OptimizationError, InitializationError) as error:
         return Certificate("undecided", f"not decided: {error}", initial, 0.0, initial, None)
 
@@ -137,7 +138,7 @@ def certify(
 def _certify(
     graph: PoseGraph,
     initial: float,
-    zero: float,
+    rounding: float,
     search: bool,
     seed: int,
     threads: int | None,
@@ -150,8 +151,12 @@ def _certify(
     def minimum(of: PoseGraph) -> Result:
         return optimize(of, relative_tolerance=1e-12, equations=equations, progress=progress)
 
+    def same(chi2: float) -> float:
+        """Return what differences of chi2 do not count: half a gap, or what rounding blurs."""
+        return max(TIGHT / 2 * chi2, blur(chi2, rounding))
+
     def proven(result: Result) -> bool:
-        return result.chi2 - bound <= max(TIGHT / 2 * result.chi2, zero)
+        return result.chi2 - bound <= same(result.chi2)
 
     progress.tell("certifying", initial)
     best = minimum(graph)
@@ -169,9 +174,8 @@ def _certify(
         if best.chi2 < first:
             bound = max(bound, chi2_bound(best.graph, best.chi2))
     bound = min(bound, best.chi2)
-    same = TIGHT / 2 * best.chi2 + zero
-    if initial - best.chi2 > same:
-        which = "the same minimum" if first - best.chi2 <= same else "another minimum"
+    if initial - best.chi2 > same(best.chi2):
+        which = "the same minimum" if first - best.chi2 <= same(best.chi2) else "another minimum"
         status: Status = "refuted"
         message = f"not optimal: {which} has chi2 {best.chi2:.8g}, lower than {initial:.8g}"
     elif proven(best):

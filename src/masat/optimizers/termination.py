@@ -79,13 +79,11 @@ class Termination:
     def change(self, before: float, after: float) -> StopReason | None:
         """Return why to stop after an accepted step, if there is a reason.
 
-        The relative test is g2o's, 0 <= (before - after) / after < relative. Residuals e known to
-        de, with de' W de = rounding, blur chi2 by at most 2 e' W de + de' W de, which the
-        Cauchy-Schwarz inequality bounds: a smaller change means nothing.
+        The relative test is g2o's, 0 <= (before - after) / after < relative.
         """
         if abs(before - after) <= self.absolute:
             return StopReason.ABSOLUTE_CHANGE
-        if abs(before - after) <= 2 * (max(after, 0.0) * self.rounding) ** 0.5 + self.rounding:
+        if abs(before - after) <= blur(after, self.rounding):
             return StopReason.ROUNDING
         if 0 <= before - after < self.relative * after:
             return StopReason.RELATIVE_CHANGE
@@ -98,6 +96,15 @@ class Termination:
     def flat(self, rhs: Floats) -> bool:
         """Tell whether the gradient of chi2, -2 rhs, is below the tolerance (maximum norm)."""
         return self.gradient > 0 and 2 * float(np.abs(rhs).max()) <= self.gradient
+
+
+def blur(chi2: float, rounding: float) -> float:
+    """Return the changes of chi2 that rounding may make: smaller ones mean nothing.
+
+    Residuals e known to de, with de' W de = rounding, blur chi2 by 2 e' W de + de' W de at most,
+    which the Cauchy-Schwarz inequality bounds.
+    """
+    return float(2 * (max(chi2, 0.0) * rounding) ** 0.5 + rounding)
 
 
 class Outcome(NamedTuple):
