@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
+from random_graphs import random_graph
 from test_optimizers import BEST
-from test_relaxation import isotropic, ring, twisted
+from test_relaxation import ring, twisted
 
 import masat
-from masat import OptimizationError, PoseGraph, certify
-from masat.worlds import perturb, sphere
+from masat import OptimizationError, PoseGraph, certify, lie
+from masat.worlds import manhattan, perturb, sphere
 
 
 def test_a_local_minimum_is_refuted_by_a_better_one():
@@ -25,21 +26,76 @@ def test_poses_beside_their_minimum_are_refuted_by_it():
     assert certify(proof.better).certified
 
 
-def test_without_lifting_a_local_minimum_stays_undecided():
-    proof = certify(ring(12).with_poses(twisted(ring(12))), lift=False)
+def test_without_a_search_a_local_minimum_stays_undecided():
+    proof = certify(ring(12).with_poses(twisted(ring(12))), search=False)
+    assert proof.status == "undecided"
     assert not proof.certified
     assert proof.message.startswith("not decided")
     assert proof.better is None
+    assert proof.bound < proof.chi2
 
 
-def test_in_3d_with_isotropic_information_the_proof_is_of_chi2_itself():
-    graph = isotropic(perturb(sphere(200, seed=0), [0.05] * 6, seed=0))
-    result = masat.optimize(masat.initialize(graph, "masat"))
-    proof = certify(result.graph)
-    assert proof.certified
-    assert proof.exact
-    assert np.isclose(proof.cost, result.chi2, rtol=1e-6)
-    assert proof.gap < 1e-6
+@pytest.mark.parametrize(("world", "sigma"), [(manhattan, [0.05] * 3), (sphere, [0.05] * 6)])
+@pytest.mark.parametrize("kind", ["isotropic", "uncoupled", "coupled"])
+def test_chi2_itself_is_certified_for_any_information(world, sigma, kind):
+    rng = np.random.default_rng(1)
+    graph = perturb(world(200, seed=0), sigma, seed=0)
+    if kind != "isotropic":
+        d, count = graph.dimension, len(graph.edges)
+        # Standard deviations between half and twice the noise, and correlations up to one half.
+        scale = rng.uniform(0.7, 1.4, (count, graph.dof)) / 0.05
+        w = scale[:, :, None] * scale[:, None] * np.eye(graph.dof)
+        if kind == "coupled":
+            near = 0.5 * rng.uniform(-1, 1, count) * scale[:, 0] * scale[:, d]
+            w[:, 0, d] = w[:, d, 0] = near
+        graph = PoseGraph.from_arrays(graph.edges, graph.measurements, w)
+    result = masat.solve(graph, certify=True)
+    proof = result.certificate
+    assert proof.status == "optimal"
+    assert proof.chi2 == pytest.approx(result.chi2, rel=1e-12)
+    assert 0 <= proof.gap < 1e-6
+
+
+FALSE = "false_certificates"
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["false_certificate_2d", "false_certificate_3d", "false_101_423_auto_certified",
+     "false_202_167_auto_certified"],
+)  # fmt: skip
+@pytest.mark.parametrize("search", [False, True])
+def test_minima_that_were_once_certified_falsely_are_not(name, search, data_dir):
+    graph = masat.read(data_dir / FALSE / f"{name}.g2o")
+    proof = certify(graph, search=search)
+    assert not proof.certified
+    assert proof.bound < proof.chi2 * (1 - 1e-6)
+
+
+def test_a_stiff_ring_at_its_truth_is_certified(data_dir):
+    truth = masat.read(data_dir / FALSE / "false_certificate_3d_truth.g2o")
+    assert certify(truth).certified
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("seed", range(15))
+def test_no_poses_lie_below_a_bound(dimension, seed):
+    """Small graphs with strong noise and any information, against many random restarts."""
+    rng = np.random.default_rng(seed)
+    graph = random_graph(dimension, 8, 14, seed=seed, noise={2: 0.8, 3: 0.4}[dimension])
+    half = rng.normal(size=(len(graph.edges), graph.dof, graph.dof))
+    w = half @ half.transpose(0, 2, 1) + 0.5 * np.eye(graph.dof)
+    graph = PoseGraph.from_arrays(graph.edges, graph.measurements, w, poses=graph.poses)
+    proof = certify(masat.solve(graph).graph)
+    lowest = min(
+        masat.optimize(
+            graph.with_poses(lie.retract(graph.poses, rng.normal(size=(8, graph.dof))))
+        ).chi2
+        for _ in range(20)
+    )
+    assert proof.bound <= lowest * (1 + 1e-9)
+    if proof.certified:
+        assert lowest >= proof.chi2 * (1 - 1e-6)
 
 
 @pytest.mark.parametrize("information", [1e-15, 1.0, 1e12])
@@ -75,4 +131,23 @@ def test_real_graphs_are_solved_and_certified(name, best, data_dir):
     assert result.chi2 <= best * (1 + 1e-6)
     proof = certify(result.graph)
     assert proof.certified
-    assert proof.cost - proof.bound <= 1e-6 * proof.cost + 1e-9
+    assert proof.chi2 - proof.bound <= 1e-6 * proof.chi2 + 1e-15
+
+
+def test_what_cannot_be_optimized_is_undecided():
+    """Information of condition 1e14, beyond what a factorization can bear."""
+    edges = [(k, k + 1) for k in range(6)] + [(6, 0)]
+    w = np.tile(np.diag([1e14, 1.0, 1.0]), (7, 1, 1))
+    w[3] = np.diag([1.0, 1e-14, 1.0])
+    rng = np.random.default_rng(0)
+    graph = PoseGraph.from_arrays(
+        edges, rng.normal(size=(7, 3)), w, poses=rng.normal(size=(7, 3))
+    )
+    assert certify(graph).status in ("undecided", "refuted")
+
+
+def test_a_certificate_shows_itself():
+    proof = certify(masat.initialize(ring(4), "masat"))
+    assert repr(proof).startswith("Certificate(optimal")
+    assert "optimal" in proof._repr_html_()
+    assert proof.to_dict()["certified"] is True

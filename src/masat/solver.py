@@ -92,12 +92,13 @@ def solve(
     """
     progress = Progress(budget, report_stage, catch_interrupts=True)
     start = perf_counter()
-    guess = guess_of(graph, init, root=root, seed=seed, progress=progress)
+    rooted = graph if root is None else graph.with_root(root)
+    equations = normal_equations(rooted, threads)
+    guess = guess_of(rooted, init, seed=seed, progress=progress, equations=equations)
     init_seconds = perf_counter() - start
     for note in guess.notes:
         if note not in graph.notes:
             warnings.warn(note, MasatWarning, stacklevel=2)
-    equations = normal_equations(guess, threads)
     result = optimize(
         guess,
         optimizer,

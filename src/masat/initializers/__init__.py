@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from typing import Protocol
 
+from masat import _core
 from masat.errors import InitializationError, MasatWarning
 from masat.graph import PoseGraph
 from masat.initializers.auto import auto
@@ -33,7 +34,12 @@ class SearchingInitializer(Protocol):
     """An initializer that may take long: it reports its stages and can be given a time limit."""
 
     def __call__(
-        self, graph: PoseGraph, *, seed: int = 0, progress: Progress | None = None
+        self,
+        graph: PoseGraph,
+        *,
+        seed: int = 0,
+        progress: Progress | None = None,
+        equations: _core.NormalEquations | None = None,
     ) -> PoseGraph:
         """Return the graph with poses, its gauge-fixed nodes at the identity."""
 
@@ -93,7 +99,8 @@ def initialize(
     GraphError
         If the root is not in the graph, or is not fixed in a component that has fixed nodes.
     """
-    guess = guess_of(graph, method, root=root, seed=seed, progress=progress)
+    rooted = graph if root is None else graph.with_root(root)
+    guess = guess_of(rooted, method, seed=seed, progress=progress)
     for note in guess.notes:
         if note not in graph.notes:
             warnings.warn(note, MasatWarning, stacklevel=2)
@@ -104,17 +111,15 @@ def guess_of(
     graph: PoseGraph,
     method: str,
     *,
-    root: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    equations: _core.NormalEquations | None = None,
 ) -> PoseGraph:
-    """Do what `initialize` does, without its warnings."""
+    """Do what `initialize` does, without its warnings and with equations to be used again."""
     if method not in INITIALIZERS:
         raise InitializationError(
             f"unknown initial guess {method!r}; known: {', '.join(INITIALIZERS)}"
         )
-    if root is not None:
-        graph = graph.with_root(root)
     if method in SEARCHES:
-        return SEARCHES[method](graph, seed=seed, progress=progress)
+        return SEARCHES[method](graph, seed=seed, progress=progress, equations=equations)
     return INITIALIZERS[method](graph)

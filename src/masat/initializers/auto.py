@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from masat import _core
 from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
 from masat.optimality.best import best_minimum
@@ -9,7 +10,11 @@ from masat.progress import Progress
 
 
 def auto(
-    graph: PoseGraph, *, seed: int = 0, progress: Progress | None = None
+    graph: PoseGraph,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+    equations: _core.NormalEquations | None = None,
 ) -> PoseGraph:
     """Solve, check whether the minimum looks global, and search on only where it does not.
 
@@ -24,6 +29,8 @@ def auto(
         Seed of the random noise that the search adds when it raises a rank.
     progress : Progress, optional
         What reports the stages of the search and limits its time.
+    equations : NormalEquations, optional
+        Those of the graph, to be used again.
 
     Returns
     -------
@@ -35,5 +42,7 @@ def auto(
     InitializationError
         If the graph cannot be optimized.
     """
-    found = best_minimum(chordal(graph), seed=seed, progress=progress)
+    found = best_minimum(
+        chordal(graph), seed=seed, progress=progress, equations=equations
+    )
     return graph.with_poses(found.poses, notes=found.notes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from masat import _core
 from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
 from masat.optimality.relaxation import polish
@@ -10,7 +11,11 @@ from masat.progress import Progress
 
 
 def lifted(
-    graph: PoseGraph, *, seed: int = 0, progress: Progress | None = None
+    graph: PoseGraph,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+    equations: _core.NormalEquations | None = None,
 ) -> PoseGraph:
     """Solve the chordal problem to its global minimum, at a higher rank where that is needed.
 
@@ -18,7 +23,9 @@ def lifted(
     looked global. Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Dellaert, Rosen,
     Wu, Mahony, Carlone, Shonan rotation averaging, ECCV 2020. Parameters as of `auto`.
     """
-    found = best_minimum(chordal(graph), seed=seed, progress=progress)
+    found = best_minimum(
+        chordal(graph), seed=seed, progress=progress, equations=equations
+    )
     poses = found.poses
     if found.first_is_plausible:
         poses = polish(graph.with_poses(poses))

@@ -44,7 +44,11 @@ class Minimum(NamedTuple):
 
 
 def best_minimum(
-    guess: PoseGraph, *, seed: int = 0, progress: Progress | None = None
+    guess: PoseGraph,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+    equations: _core.NormalEquations | None = None,
 ) -> Minimum:
     """Optimize a guess, check whether the minimum looks global, and search on where it does not.
 
@@ -61,6 +65,8 @@ def best_minimum(
         Seed of the random noise that is added when a rank is raised.
     progress : Progress, optional
         What reports the stages and limits the time.
+    equations : NormalEquations, optional
+        Those of the graph, to be used again.
 
     Returns
     -------
@@ -73,7 +79,7 @@ def best_minimum(
     """
     progress = progress or Progress()
     try:
-        equations = normal_equations(guess)
+        equations = normal_equations(guess) if equations is None else equations
         near, soon = _first_minimum(guess, equations, progress)
         doubts = describe_outliers(near.graph)
         if progress.over:
