@@ -8,7 +8,7 @@ import pytest
 
 import masat
 from masat import PoseGraph
-from masat.cli import main, show
+from masat.cli import main, progress
 from masat.initializers import INITIALIZERS
 from masat.worlds import manhattan, perturb, sphere
 
@@ -41,7 +41,7 @@ def test_solve_writes_the_optimum_and_says_so(run, world, tmp_path):
     best = masat.optimize(masat.initialize(masat.read(world), "auto"))
     assert np.array_equal(masat.read(out).poses, best.poses)
     assert f"chi2 {best.chi2:.6g}" in text
-    assert "held still    node 0" in text
+    assert "not optimized  node 0" in text
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
@@ -153,21 +153,21 @@ def test_compare_lists_each_start(run, world, tmp_path):
     for start in INITIALIZERS:
         assert any(start in line and "best" in line for line in lines)
     said = json.loads(run("compare", world, "--json")[1])
-    assert [s["init"] for s in said["starts"]] == list(INITIALIZERS)
-    assert said["refused"] == {}
+    assert [s["init"] for s in said["inits"]] == list(INITIALIZERS)
+    assert said["failed"] == {}
 
 
-def test_compare_tells_which_starts_refuse_and_why(run, tmp_path):
+def test_compare_tells_which_initial_guesses_fail_and_why(run, tmp_path):
     path = tmp_path / "bare.g2o"
     graph = sphere(50)
     masat.write(PoseGraph.from_arrays(graph.edges, graph.measurements), path)
     code, text, _ = run("compare", path)
     assert code == 0
-    assert "lago refuses: lago is for planar graphs only" in text
-    assert "given refuses: the graph has no poses" in text
+    assert "lago fails: lago is for planar graphs only" in text
+    assert "given fails: the graph has no poses" in text
     said = json.loads(run("compare", path, "--json")[1])
-    assert list(said["refused"]) == ["lago", "given"]
-    assert {s["init"] for s in said["starts"]} == set(INITIALIZERS) - {"lago", "given"}
+    assert list(said["failed"]) == ["lago", "given"]
+    assert {s["init"] for s in said["inits"]} == set(INITIALIZERS) - {"lago", "given"}
 
 
 def test_convert_loses_nothing(run, tmp_path):
@@ -214,7 +214,7 @@ def test_certify_tells_what_it_proved(run, tmp_path):
     assert "not optimal: another minimum" in text
     code, text, _ = run("certify", better)
     assert code == 0
-    assert "certified     yes" in text
+    assert "status        optimal" in text
     said = json.loads(run("certify", local, "--json")[1])
     assert said["certified"] is False
     assert said["optimum"] < said["chi2"]
@@ -233,19 +233,19 @@ def test_certify_refuses_to_write_over_its_input(run, tmp_path):
 def test_solve_tells_whether_the_optimum_is_certified(run, tmp_path):
     path = tmp_path / "graph.g2o"
     masat.write(perturb(manhattan(200, seed=0), [0.1, 0.1, 0.1], seed=0), path)
-    assert "global, certified to" in run("solve", path)[1]
+    assert "proven to be the global optimum" in run("solve", path)[1]
     assert json.loads(run("solve", path, "--json")[1])["certificate"]["certified"] is True
 
 
 def test_a_long_wait_shows_what_it_is_for(monkeypatch, capsys):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    monkeypatch.setattr(show, "_PATIENCE", 0.01)
-    with show.Wait("city.g2o  start auto", quiet=False):
+    monkeypatch.setattr(progress, "_PATIENCE", 0.01)
+    with progress.Stages("city.g2o  auto", quiet=False):
         sleep(0.3)
-    assert "start auto" in capsys.readouterr().err
-    with show.Wait("city.g2o  start auto", quiet=True):
+    assert "city.g2o  auto" in capsys.readouterr().err
+    with progress.Stages("city.g2o  auto", quiet=True):
         sleep(0.1)
-    monkeypatch.setattr(show, "_PATIENCE", 60)
-    with show.Wait("city.g2o  start auto", quiet=False):
+    monkeypatch.setattr(progress, "_PATIENCE", 60)
+    with progress.Stages("city.g2o  auto", quiet=False):
         pass
     assert capsys.readouterr().err == ""

@@ -72,7 +72,7 @@ def test_it_prints_json_and_draws(simulate, tmp_path):
         (["mars", "-o", "w.g2o"], "mars"),
         (["city"], "--output"),
         (["city", "-o", "no/such/w.g2o"], "folder does not exist"),
-        (["city", "-o", "w.g2o", "--truth", "w.g2o"], "different files"),
+        (["city", "-o", "w.g2o", "--truth", "w.g2o"], "choose different names"),
         (["city", "-o", "w.tum"], "the suffix '.tum' belongs to no format"),
         (["city", "-o", "w.g2o", "--truth", "w.png"], "the suffix '.png' belongs to no format"),
         (["city", "-o", "w.g2o", "--nodes", 2**31], "at most 2147483647 nodes"),

@@ -42,7 +42,6 @@ def auto(
     InitializationError
         If the graph cannot be optimized.
     """
-    found = best_minimum(
-        chordal(graph), seed=seed, progress=progress, equations=equations
-    )
-    return graph.with_poses(found.poses, notes=found.notes)
+    guess = chordal(graph)
+    found = best_minimum(guess, seed=seed, progress=progress, equations=equations)
+    return guess.with_poses(found.poses, notes=found.notes)

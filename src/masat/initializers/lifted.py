@@ -23,10 +23,9 @@ def lifted(
     looked global. Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Dellaert, Rosen,
     Wu, Mahony, Carlone, Shonan rotation averaging, ECCV 2020. Parameters as of `auto`.
     """
-    found = best_minimum(
-        chordal(graph), seed=seed, progress=progress, equations=equations
-    )
+    guess = chordal(graph)
+    found = best_minimum(guess, seed=seed, progress=progress, equations=equations)
     poses = found.poses
     if found.first_is_plausible:
-        poses = polish(graph.with_poses(poses))
-    return graph.with_poses(poses, notes=found.notes)
+        poses = polish(guess.with_poses(poses))
+    return guess.with_poses(poses, notes=found.notes)

@@ -78,23 +78,30 @@ def best_minimum(
         If the graph cannot be optimized.
     """
     progress = progress or Progress()
+    equations = normal_equations(guess) if equations is None else equations
     try:
-        equations = normal_equations(guess) if equations is None else equations
         near, soon = _first_minimum(guess, equations, progress)
+        try:
+            if not progress.over and _is_plausible(near):
+                return Minimum(near.poses, True)
+        except KeyboardInterrupt:
+            progress.interrupt()
         doubts = describe_outliers(near.graph)
         if progress.over:
             return Minimum(near.poses, False, doubts)
-        relaxation = Relaxation(guess)
-        if relaxation.plausible(near.poses) or looks_global(near.graph, near.chi2):
-            return Minimum(near.poses, True)
         for doubt in doubts:
             progress.tell(doubt, near.chi2, warning=True)
         found = lower_minimum(near.graph, seed=seed, progress=progress, equations=equations)
-        if not soon and not progress.over and relaxation.lifted_bytes() <= _MAX_LIFTED_BYTES:
+        if not (soon or progress.over):
             found = _lift_all(guess, found, seed, progress, equations)
     except OptimizationError as error:
         raise InitializationError(f"the guess has to be optimized first: {error}") from error
     return Minimum(found.poses, False, describe_outliers(found.graph))
+
+
+def _is_plausible(near: Result) -> bool:
+    """Whether the chordal certificate fails by little, or that of chi2 itself holds."""
+    return Relaxation(near.graph).plausible(near.poses) or looks_global(near.graph, near.chi2)
 
 
 def _first_minimum(
@@ -122,6 +129,9 @@ def _lift_all(
     progress: Progress,
     equations: _core.NormalEquations,
 ) -> Result:
+    """Lift all nodes of the guess, where memory allows it; return the lower minimum."""
+    if Relaxation(guess).lifted_bytes() > _MAX_LIFTED_BYTES:
+        return found
     progress.tell("lifting all nodes", found.chi2)
     try:
         lifted = guess.with_poses(lift(guess, seed=seed))

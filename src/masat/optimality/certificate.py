@@ -131,8 +131,12 @@ def certify(
         )
     try:
         return _certify(graph, initial, rounding, search, seed, threads, progress, equations)
+    except KeyboardInterrupt:
+        progress.interrupt()
+        reason = "interrupted"
     except (OptimizationError, InitializationError) as error:
-        return Certificate("undecided", f"not decided: {error}", initial, 0.0, initial, None)
+        reason = str(error)
+    return Certificate("undecided", f"not decided: {reason}", initial, 0.0, initial, None)
 
 
 def _certify(

@@ -82,18 +82,23 @@ def checked_threads(threads: int) -> int:
 
 
 class BestSoFar:
-    """Equations that remember the poses of the lowest cost at which they were linearized."""
+    """Equations that remember the poses of the lowest cost that they were asked about."""
 
     def __init__(self, inner: Equations, poses: Floats, chi2: float) -> None:
         self._inner = inner
         self.poses, self.lowest = poses, chi2
-        self.chi2, self.rhs, self.diagonal = inner.chi2, inner.rhs, inner.diagonal
-        self.multiply, self.factorize = inner.multiply, inner.factorize
-        self.solve, self.retract = inner.solve, inner.retract
+        self.rhs, self.diagonal, self.multiply = inner.rhs, inner.diagonal, inner.multiply
+        self.factorize, self.solve, self.retract = inner.factorize, inner.solve, inner.retract
+
+    def chi2(self, poses: Floats, /) -> float:
+        """Return the cost, and remember poses of a lower one."""
+        return self._remembered(poses, self._inner.chi2(poses))
 
     def linearize(self, poses: Floats, /) -> float:
         """Linearize, and remember poses of a lower cost."""
-        chi2 = self._inner.linearize(poses)
+        return self._remembered(poses, self._inner.linearize(poses))
+
+    def _remembered(self, poses: Floats, chi2: float) -> float:
         if chi2 < self.lowest:
             self.poses, self.lowest = poses, chi2
         return chi2
