@@ -116,7 +116,9 @@ def test_a_wrong_loop_has_no_say(world, sigma):
 def test_no_iterations_leave_odometry(dimension):
     graph = random_graph(dimension, 30, 30, seed=3)
     chain = odometry(graph.with_root(5)).poses
-    assert np.allclose(lie.local(chain, cauchy(graph.with_root(5), iterations=0).poses), 0, atol=1e-9)
+    assert np.allclose(
+        lie.local(chain, cauchy(graph.with_root(5), iterations=0).poses), 0, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("fixed", [[0, 3], [0, 1, 2, 3]])

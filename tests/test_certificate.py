@@ -115,7 +115,9 @@ def test_a_chain_is_certified():
 
 
 def test_a_single_node_is_certified():
-    assert certify(masat.initialize(PoseGraph.from_arrays([], np.zeros((0, 3)), ids=[7]), "masat")).certified
+    assert certify(
+        masat.initialize(PoseGraph.from_arrays([], np.zeros((0, 3)), ids=[7]), "masat")
+    ).certified
 
 
 def test_a_graph_without_poses_has_nothing_to_certify():
@@ -140,9 +142,7 @@ def test_what_cannot_be_optimized_is_undecided():
     w = np.tile(np.diag([1e14, 1.0, 1.0]), (7, 1, 1))
     w[3] = np.diag([1.0, 1e-14, 1.0])
     rng = np.random.default_rng(0)
-    graph = PoseGraph.from_arrays(
-        edges, rng.normal(size=(7, 3)), w, poses=rng.normal(size=(7, 3))
-    )
+    graph = PoseGraph.from_arrays(edges, rng.normal(size=(7, 3)), w, poses=rng.normal(size=(7, 3)))
     assert certify(graph).status in ("undecided", "refuted")
 
 

@@ -247,3 +247,26 @@ def test_blocks_out_of_range_are_refused():
             equations.inverse(zero, zero + np.int32(bad))
     with pytest.raises(ValueError, match="as many"):
         equations.inverse(zero, np.zeros(2, np.int32))
+
+
+def two_triangles(weight):
+    """Two triangles, joined by one edge of little information."""
+    edges = [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (2, 3)]
+    third = (1, 0, 2 * np.pi / 3)
+    information = [np.eye(3)] * 6 + [weight * np.eye(3)]
+    graph = PoseGraph.from_arrays(edges, [third] * 6 + [(1, 0, 0)], information)
+    return masat.initialize(graph, "chordal")
+
+
+def test_covariances_near_singularity_are_right_doubted_or_refused():
+    # The heading of the second triangle is known to 1 / weight, the rest does not count.
+    for weight in (1e-6, 1e-8, 1e-10):
+        assert masat.covariances(two_triangles(weight), [4])[0, 2, 2] == pytest.approx(
+            1 / weight, rel=1e-4
+        )
+    for weight in (1e-12, 1e-13):
+        with pytest.warns(masat.MasatWarning, match="may be wrong by a fraction"):
+            found = masat.covariances(two_triangles(weight), [4])[0, 2, 2]
+        assert found == pytest.approx(1 / weight, rel=0.1)
+    with pytest.raises(OptimizationError, match="too nearly singular"):
+        masat.covariances(two_triangles(1e-15), [4])

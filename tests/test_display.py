@@ -100,7 +100,9 @@ def test_many_fixed_nodes_are_cut_short():
 
 
 def test_a_result_is_shown():
-    result = masat.optimize(masat.initialize(perturb(manhattan(100, 150, extent=6), (0.1,) * 3), "masat"))
+    result = masat.optimize(
+        masat.initialize(perturb(manhattan(100, 150, extent=6), (0.1,) * 3), "masat")
+    )
     rows, (picture,) = page(result_html(result))
     assert rows["chi2"] == f"{result.initial_chi2:.6g} → {result.chi2:.6g}"
     assert (rows["converged"], rows["stopped"]) == ("yes", result.message)

@@ -186,7 +186,9 @@ def test_masat_leads_to_the_best_known_minimum(name, best, method, data_dir):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_tree_fits_exactly_and_has_no_reduced_chi2(method, data_dir):
-    result = masat.optimize(masat.initialize(masat.read(data_dir / "2d/kitti_08.g2o"), "masat"), method)
+    result = masat.optimize(
+        masat.initialize(masat.read(data_dir / "2d/kitti_08.g2o"), "masat"), method
+    )
     assert result.converged
     assert result.chi2 < 1e-20
     assert result.degrees_of_freedom == 0

@@ -22,8 +22,8 @@ def covariances(graph: PoseGraph, ids: ArrayLike | None = None) -> Floats:
     """Return the marginal covariances of poses, given all measurements.
 
     They belong to the Gaussian of the linearized problem at the graph's poses, normally those of
-    an optimum: blocks of the inverse of H = sum J' W J. Nodes of the gauge (`graph.gauge`) have zero
-    covariance, and other fixed nodes give other covariances.
+    an optimum: blocks of the inverse of H = sum J' W J. The nodes of `graph.gauge` have covariance
+    zero, and other fixed nodes give other covariances.
 
     Parameters
     ----------
@@ -144,15 +144,15 @@ def _check_condition(pivot_ratio: float) -> None:
         )
     if error > _DOUBTFUL_ERROR:
         warnings.warn(
-            f"the covariances may be wrong by a fraction of about {error:.1g}: the system is nearly "
-            f"singular (condition about {1 / pivot_ratio:.1g})",
+            f"the covariances may be wrong by a fraction of about {error:.1g}: the system is "
+            f"nearly singular (condition about {1 / pivot_ratio:.1g})",
             MasatWarning,
             stacklevel=4,
         )
 
 
 def _derivative(seen: Floats) -> Floats:
-    """Return the derivative of a^-1 b by a step of a, (k, d, d); `seen` is the pose of a relative to b.
+    """Return the derivative of a^-1 b by a step of a, (k, d, d), from the poses b^-1 a.
 
     It is minus the adjoint of b^-1 a.
     """

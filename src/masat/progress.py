@@ -71,7 +71,7 @@ class Progress:
     def interrupt(self) -> None:
         """Take note of the KeyboardInterrupt being handled, or raise it again."""
         if not self._catch_interrupts:
-            raise  # noqa: PLE0704
+            raise
         self._interrupted = True
 
     @property

@@ -110,7 +110,5 @@ def solve(
     )
     certificate = None
     if certify and result.converged:
-        certificate = certified(
-            result.graph, search=False, progress=progress, equations=equations
-        )
+        certificate = certified(result.graph, search=False, progress=progress, equations=equations)
     return replace(result, init=init, init_seconds=init_seconds, certificate=certificate)

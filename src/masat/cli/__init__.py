@@ -47,7 +47,7 @@ class _Commands(click.Group):
 )
 @click.version_option(package_name="masat")
 def cli() -> None:
-    """The back end of SLAM: from a pose graph to a map.
+    """Make maps of pose graphs: the back end of SLAM.
 
     FILE is a pose graph in the format of g2o, TORO or iSAM, gzipped or not, recognized by its
     content.

@@ -64,9 +64,7 @@ def certify(
         raise MasatError(f"{file}: has no poses to certify; masat solve {file} makes a map")
     with Stages(file.name, quiet=quiet) as stages:
         progress = Progress(budget, stages, catch_interrupts=True)
-        certificate = certified(
-            graph, search=search, seed=seed, threads=threads, progress=progress
-        )
+        certificate = certified(graph, search=search, seed=seed, threads=threads, progress=progress)
     if out is not None and certificate.better is not None:
         write(certificate.better, out)
     if as_json:

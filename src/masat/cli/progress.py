@@ -80,32 +80,24 @@ class Iterations(_Line):
 class Stages(_Line):
     """Shows the stage of long work, the lowest chi2 so far, and the time that goes by.
 
-    Warnings about the graph are printed at once and remain.
+    A warning about the graph is printed at once, for people who wait.
     """
 
     def __init__(self, what: str, *, quiet: bool) -> None:
         super().__init__(what, quiet=quiet)
-        self._quiet = quiet
         self._stage = ""
-        self._warned: set[str] = set()
         self._timer = threading.Timer(_PATIENCE, self._start)
 
     def __call__(self, stage: Stage) -> None:
         """Take note of a stage."""
         if stage.warning:
-            if not self._quiet and stage.what not in self._warned:
-                self._warned.add(stage.what)
+            if not self._silent:
                 click.echo(f"note: {stage.what}", err=True)
             return
         chi2 = "" if stage.chi2 is None else f"  best chi2 {stage.chi2:.6g}"
         self._stage = f"  {stage.what}{chi2}"
         if self._bar is not None:
             self._bar.update(self._bar.task_ids[0], description=self._what + self._stage)
-
-    @property
-    def warned(self) -> set[str]:
-        """The warnings that were printed."""
-        return self._warned
 
     def __enter__(self) -> Self:
         if not self._silent:

@@ -91,8 +91,7 @@ def solve(
             report_stage=stages,
         )
     if not quiet:
-        new = result.graph.notes[len(graph.notes) :]
-        options.notes(tuple(note for note in new if note not in stages.warned))
+        options.notes(result.graph.notes[len(graph.notes) :])
     if out is not None:
         write(result.graph, out)
     if save is not None:
@@ -149,15 +148,10 @@ def _print(result: Result, times: dict[str, float], written: list[Path]) -> None
 def _optimum(certificate: Certificate | None) -> str:
     if certificate is None:
         return "not certified"
-    said = show.status(certificate)
+    said = f"{show.status(certificate)}: {certificate.message.partition(': ')[2]}"
     if certificate.better is not None:
-        return f"{said}: chi2 {certificate.optimum:.6g} is known; masat certify -o writes it"
-    if certificate.certified:
-        return f"{said}: proven to be the global optimum, to {certificate.gap:.1g} of chi2"
-    return (
-        f"{said}: not proven; chi2 of all poses is at least {certificate.bound:.6g}; "
-        "masat certify searches further"
-    )
+        return f"{said}; masat certify -o writes it"
+    return said if certificate.certified else f"{said}; masat certify searches further"
 
 
 def _quality(reduced: float | None) -> str:

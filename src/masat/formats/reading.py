@@ -63,9 +63,7 @@ def read(
         If the file cannot be opened or read.
     """
     path = Path(path)
-    graph = read_without_warnings(
-        path, format=format, indefinite=indefinite, max_bytes=max_bytes
-    )
+    graph = read_without_warnings(path, format=format, indefinite=indefinite, max_bytes=max_bytes)
     for note in graph.notes:
         warnings.warn(f"{path}: {note}", MasatWarning, stacklevel=2)
     return graph

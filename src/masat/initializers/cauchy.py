@@ -15,9 +15,7 @@ from masat.optimizers.termination import Termination
 _TOLERANCE = 1e-4
 
 
-def cauchy(
-    graph: PoseGraph, *, scale: float = 1.0, iterations: int = 50
-) -> PoseGraph:
+def cauchy(graph: PoseGraph, *, scale: float = 1.0, iterations: int = 50) -> PoseGraph:
     """Optimize odometry under a robust cost, in which edges that contradict it have little weight.
 
     Minimizes the sum of c^2 log(1 + chi2 / c^2) over the edges, c being the scale, by

@@ -5,8 +5,8 @@ from __future__ import annotations
 from masat import _core
 from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
-from masat.optimality.relaxation import polish
 from masat.optimality.best import best_minimum
+from masat.optimality.relaxation import polish
 from masat.progress import Progress
 
 

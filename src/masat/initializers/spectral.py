@@ -66,10 +66,10 @@ def spectral(graph: PoseGraph, *, tolerance: float = 1e-6) -> PoseGraph:
 
 
 class _Laplacian:
-    """The form weight |R_j - R_i R|^2 of vectors that are a multiple of the known ones at the gauge.
+    """The form weight |R_j - R_i R|^2 of vectors that the gauge nodes tie to the known ones.
 
-    Tables of vectors are (n, d, k). Each component has vectors and a multiple of its own; with one
-    gauge node any vectors are such a multiple.
+    At the gauge nodes they are a multiple of the known ones. Tables of vectors are (n, d, k). Each
+    component has vectors and a multiple of its own; with one gauge node any vectors will do.
     """
 
     def __init__(self, graph: PoseGraph, known: Floats) -> None:
@@ -89,9 +89,9 @@ class _Laplacian:
 
         Inverse iteration goes from X to inv(L) X, but L is singular without noise. With H, of least
         energy where the multiple is 1, inv(L) X inv(H'X) H'LH spans the same; its multiple is 1,
-        and with the gauge nodes fixed the problem that it solves is regular. A step takes the best of the space
-        of that, of X and of the X before. Source: Knyazev, Toward the optimal preconditioned
-        eigensolver, SISC 2001.
+        and with the gauge nodes fixed the problem that it solves is regular. A step takes the best
+        of the space of that, of X and of the X before. Source: Knyazev, Toward the optimal
+        preconditioned eigensolver, SISC 2001.
         """
         blocks = linear.rotation_blocks(self._graph, self._weight)
         problem = linear.LinearProblem(self._graph, blocks, self._known)

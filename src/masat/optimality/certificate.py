@@ -185,7 +185,9 @@ def _certify(
     elif proven(best):
         status = "optimal"
         gap = (initial - bound) / initial
-        message = f"globally optimal: no poses have a chi2 that is lower by more than {gap:.1g} of it"
+        message = (
+            f"globally optimal: no poses have a chi2 that is lower by more than {gap:.1g} of it"
+        )
     else:
         status = "undecided"
         message = (

@@ -170,9 +170,7 @@ class Relaxation:
             return 0.0
         own = np.ascontiguousarray(x[self._free])
         shift = allowed / (4 * self.graph.dimension * len(self._free))
-        return _core.certificate_gap(
-            self._matrix, self._assemble(x), own, shift, _ROUNDING_MARGIN
-        )
+        return _core.certificate_gap(self._matrix, self._assemble(x), own, shift, _ROUNDING_MARGIN)
 
     def plausible(self, poses: Floats) -> bool:
         """Whether a minimum looks global, without a proof: its certificate fails by little."""
@@ -187,9 +185,7 @@ class Relaxation:
             return self._free
         x = self.unknowns(poses, self.graph.dimension)
         own = np.ascontiguousarray(x[self._free])
-        return _core.uncertified_nodes(
-            self._matrix, self._assemble(x), own, fraction * self._scale
-        )
+        return _core.uncertified_nodes(self._matrix, self._assemble(x), own, fraction * self._scale)
 
     def poses(self, x: Floats) -> Floats:
         """Return the poses nearest to unknowns of any rank, (n, 3) or (n, 7)."""

@@ -27,8 +27,8 @@ def dogleg(
 
     One factorization an iteration, however often the region shrinks. Lengths are in the metric of
     the diagonal of H, which needs no scale between meters and radians. Sources: Powell, A new
-    algorithm for unconstrained optimization, 1970; Nocedal and Wright, Numerical Optimization, 2006, algorithm
-    4.1 and section 4.1.
+    algorithm for unconstrained optimization, 1970; Nocedal and Wright, Numerical Optimization,
+    2006, algorithm 4.1 and section 4.1.
     """
     start = perf_counter()
     chi2 = equations.linearize(poses)

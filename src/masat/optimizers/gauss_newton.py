@@ -23,8 +23,8 @@ def gauss_newton(
 ) -> Outcome:
     """Solve H step = J' W (-e) and take the full step, until chi2 no longer changes.
 
-    Fast near a minimum; far from one chi2 may rise, oscillate or diverge. Source: Nocedal and Wright,
-    Numerical Optimization, 2006, section 10.3; stopping as in g2o.
+    Fast near a minimum; far from one chi2 may rise, oscillate or diverge. Source: Nocedal and
+    Wright, Numerical Optimization, 2006, section 10.3; stopping as in g2o.
     """
     start = perf_counter()
     chi2 = equations.linearize(poses)
