@@ -82,8 +82,8 @@ class LinearProblem:
 def undetermined(graph: PoseGraph, node: int, what: str = "pose") -> InitializationError:
     """Return the error for a node, given by its index, that its edges do not determine."""
     return InitializationError(
-        f"the edges around node {graph.ids[node]} do not determine its {what}: see masat.diagnose "
-        "for nearly singular information"
+        f"the edges around node {graph.ids[node]} do not determine its {what}: masat.diagnose, or "
+        "masat info, tells where information is nearly singular"
     )
 
 

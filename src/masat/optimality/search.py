@@ -179,7 +179,7 @@ class _Search:
         return lowered
 
     def _relative(self, cycle: Cycle) -> Floats:
-        """Return the rotations of a cycle's nodes, as few as possible if only the gauge is fixed."""
+        """Return the rotations of a cycle's nodes; few of them if only the gauge is fixed."""
         labels = self._graph.components
         label = labels[self._graph.edge_indices[cycle.edge, 0]]
         if label in labels[self._movable]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from masat import _core
 from masat.arrays import Floats
-from masat.errors import InitializationError
 from masat.graph import PoseGraph
+from masat.linear import undetermined
 
 
 def solve_translations(
@@ -41,7 +41,5 @@ def solve_translations(
         graph.topology, matrix, graph.measurements, graph.information, poses
     )
     if failed >= 0:
-        raise InitializationError(
-            f"the edges around node {graph.ids[failed]} do not determine its position"
-        )
+        raise undetermined(graph, failed, "position")
     return solved
