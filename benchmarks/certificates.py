@@ -92,7 +92,7 @@ def main() -> None:
     warnings.simplefilter("ignore", masat.MasatWarning)
     print(
         "information   graphs  certified  not lowest   false  false bounds  worse minima\n"
-        "(not lowest: solve ended above the best of the restarts; worse minima: tried from odometry)"
+        "(not lowest: solve ended above the best restart; worse minima: tried from odometry)"
     )
     for dimension in (2, 3):
         for kind in KINDS:
