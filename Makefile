@@ -4,7 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := pyproject.toml CMakeLists.txt README.md LICENSE $(shell find core src -type f -not -name '*.pyc')
 
-.PHONY: demo test test-slow lint format sanitize benchmark clean
+# The packages of an extra in pyproject.toml, without building the package.
+define install_extra
+	$(BIN)/python -c 'import tomllib; extras = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
+	  print(*extras["optional-dependencies"]["$(1)"], sep="\n")' > $(VENV)/$(1).txt
+	$(BIN)/pip install -q -r $(VENV)/$(1).txt
+endef
+
+.PHONY: demo test test-slow lint format sanitize sanitize-threads compilers benchmark clean
 
 demo: $(VENV)/.masat
 	$(BIN)/masat demo
@@ -26,13 +33,30 @@ format: $(VENV)/.lint
 	$(BIN)/ruff format .
 	git ls-files '*.cpp' '*.hpp' | xargs $(BIN)/clang-format -i
 
-# The readers' fuzz test on a core with address and undefined-behavior sanitizers.
+# The tests that enter the core, on a core with address and undefined-behavior sanitizers. Left out
+# is what only takes long: large systems, which run the same code as small ones.
 sanitize: $(VENV)/.test
-	$(BIN)/pip install -q --no-deps --target build/sanitized --upgrade . -C cmake.define.MASAT_SANITIZE=ON \
-	  -C cmake.define.CMAKE_COMPILE_WARNING_AS_ERROR=ON
+	$(BIN)/pip install -q --no-deps --target build/sanitized --upgrade . \
+	  -C cmake.define.MASAT_SANITIZE=address -C cmake.define.CMAKE_COMPILE_WARNING_AS_ERROR=ON
 	ASAN_OPTIONS=detect_leaks=0 \
 	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
-	PYTHONPATH=build/sanitized $(BIN)/python -m pytest -q tests/test_fuzz.py tests/test_core.py
+	PYTHONPATH=build/sanitized $(BIN)/python -m pytest -q \
+	  tests/test_core.py tests/test_fuzz.py tests/test_cholesky.py tests/test_structure.py \
+	  tests/test_lie.py tests/test_toro.py tests/test_relaxation.py tests/test_covariance.py \
+	  -k "not (same_bits and 3) and not long_calls"
+
+# The tests that factorize with several threads, on a core with the thread sanitizer.
+sanitize-threads: $(VENV)/.test
+	$(BIN)/pip install -q --no-deps --target build/sanitized-threads --upgrade . \
+	  -C cmake.define.MASAT_SANITIZE=thread -C cmake.define.CMAKE_COMPILE_WARNING_AS_ERROR=ON
+	TSAN_OPTIONS=exitcode=66 OPENBLAS_NUM_THREADS=1 \
+	LD_PRELOAD="$$($(CXX) -print-file-name=libtsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
+	PYTHONPATH=build/sanitized-threads $(BIN)/python -m pytest -q tests/test_cholesky.py \
+	  -k "(same_bits and 2) or pivot or interrupted or no_more_threads"
+
+# With each supported compiler of this machine: builds the core and runs its tests.
+compilers: $(VENV)/.test
+	tools/compilers.sh $(BIN)
 
 # In an environment of its own: one of the peers needs an old NumPy.
 benchmark: $(VENV)/bench/.done
@@ -53,11 +77,11 @@ $(VENV)/.masat: $(VENV)/bin/pip $(SOURCES)
 	@touch $@
 
 $(VENV)/.test: $(VENV)/.masat
-	$(BIN)/pip install -q '.[test]'
+	$(call install_extra,test)
 	@touch $@
 
 $(VENV)/.lint: $(VENV)/bin/pip pyproject.toml
-	$(BIN)/pip install -q ruff mypy clang-format
+	$(call install_extra,lint)
 	@touch $@
 
 $(VENV)/bench/.done: $(VENV)/bin/pip $(SOURCES)
