@@ -21,7 +21,7 @@ def convert(
 
     The name of OUT ends in .g2o or .txt, or has no suffix; with .gz after it, OUT is compressed.
     """
-    options.check_writable(out, file)
+    options.check_outputs(file, out)
     format_of(out)
     graph = options.load(file, file_format, indefinite, quiet)
     write(graph, out)

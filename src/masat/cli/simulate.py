@@ -87,8 +87,8 @@ def simulate(
     The output file has measurements and no poses, so that the initial guess has to be computed. The
     true poses are written to another file with --truth.
     """
-    options.check_writable(out)
-    options.check_writable(truth)
+    options.check_outputs(None, out)
+    options.check_outputs(None, truth)
     for target in (out, truth):
         if target is not None:
             format_of(target)
