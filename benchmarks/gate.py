@@ -53,7 +53,7 @@ def start(folder: Path, name: str) -> dict[str, float]:
         {
             "gtsam": partial(gtsam.readG2o, str(file), False),
             "read": partial(masat.read, file),
-            "masat": partial(masat.initialize, graph),
+            "masat": partial(masat.initialize, graph, "masat"),
         }
     )
     return {f"{t} {name} / gtsam's readG2o": took[t] / took["gtsam"] for t in ("read", "masat")}

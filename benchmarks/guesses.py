@@ -1,4 +1,4 @@
-"""What the starts cost: beside a Gauss-Newton iteration, beside MASAT, beside SE-Sync.
+"""What the initial guesses cost: beside a Gauss-Newton iteration, beside MASAT, beside SE-Sync.
 
 Run `python -m benchmarks.guesses [GRAPH ...]`; needs the extra `bench`, and the data (MASAT_DATA).
 """
@@ -86,13 +86,13 @@ def main() -> None:
     """Print a table of medians and ratios."""
     single_threaded()
     print("medians in ms, wanted ratios in brackets; MASAT, and most_informed_first over it (2);")
-    print("a first Gauss-Newton iteration, the chordal start, and its ratio to that; graph to best")
+    print("a first Gauss-Newton iteration, the chordal guess, and its ratio to that; graph to best")
     print(
         "map by auto and by lifted; SE-Sync's recorded time; lifted's ratio to that, g2o-python's"
     )
     print("iteration here over g2o's recorded one, and lifted's ratio to the lesser of both times")
     print(
-        f"{'graph':<16}{'masat':>8}{'surest':>8}{'GN':>8}{'chordal':>9}{'ratio':>11}"
+        f"{'graph':<16}{'masat':>8}{'by info':>8}{'GN':>8}{'chordal':>9}{'ratio':>11}"
         f"{'auto':>8}{'lifted':>8}{'SE-Sync':>9}{'ratio':>8}{'scale':>7}{'ratio':>15}"
     )
     for name in sys.argv[1:] or CASES:

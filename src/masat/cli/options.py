@@ -95,7 +95,7 @@ def initial_guess(command: F) -> F:
         default="auto",
         show_default=True,
         help="Initial guess: 'auto' searches for the lowest minimum; 'given' takes the poses of "
-        "FILE; docs/starts.md compares them all.",
+        "FILE; docs/initial_guesses.md compares them all.",
     )(command)
 
 

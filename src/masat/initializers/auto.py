@@ -19,7 +19,7 @@ def auto(
     """Solve, check whether the minimum looks global, and search on only where it does not.
 
     Begins with the chordal guess, optimized; see `masat.optimality.best.best_minimum`. The rule
-    is measured in docs/starts.md.
+    is measured in docs/reports/initial_guesses.md.
 
     Parameters
     ----------
