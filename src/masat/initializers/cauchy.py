@@ -65,7 +65,7 @@ def cauchy(
     assert guess.poses is not None
     poses = guess.poses
     if len(guess.elimination.free_nodes()):
-        equations = Cauchy(normal_equations(guess), scale)
+        equations = Cauchy(guess, normal_equations(guess), scale)
         termination = Termination(iterations, _TOLERANCE, 0.0, 0.0, rounding_level(guess))
         poses = levenberg_marquardt(equations, poses, termination, lambda _: None).poses
     return rooted(guess, poses, root, [])

@@ -6,6 +6,8 @@ import numpy as np
 
 from masat._core import NormalEquations
 from masat.arrays import Floats
+from masat.graph import PoseGraph
+from masat.residuals import chi2_per_edge
 
 
 class Cauchy:
@@ -17,7 +19,8 @@ class Cauchy:
     reweighted least-squares, 1977.
     """
 
-    def __init__(self, inner: NormalEquations, scale: float) -> None:
+    def __init__(self, graph: PoseGraph, inner: NormalEquations, scale: float) -> None:
+        self._graph = graph
         self._inner = inner
         self._squared = scale**2
         self.rhs, self.diagonal, self.multiply = inner.rhs, inner.diagonal, inner.multiply
@@ -25,11 +28,11 @@ class Cauchy:
 
     def chi2(self, poses: Floats) -> float:
         """Return the robust cost."""
-        return self._cost(self._inner.edge_chi2(poses))
+        return self._cost(chi2_per_edge(self._graph, poses))
 
     def linearize(self, poses: Floats) -> float:
         """Set the weighted system; return the robust cost."""
-        chi2 = self._inner.edge_chi2(poses)
+        chi2 = chi2_per_edge(self._graph, poses)
         self._inner.linearize(poses, 1 / (1 + chi2 / self._squared))
         return self._cost(chi2)
 
