@@ -204,3 +204,43 @@ def test_sine_and_cosine_are_the_library_s_to_the_last_places(angle):
     heading = _core.place_by_masat(graph, np.array([0], np.int32), z, poses)[1:, 2]
     assert np.allclose(np.cos(heading), expected[:, 0], atol=1e-15)
     assert np.allclose(np.sin(heading), expected[:, 1], atol=1e-15)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_equations_keep_alive_what_they_refer_to(dimension):
+    random = np.random.default_rng(0)
+    nodes, dof = 2000, 3 * (dimension - 1)
+    edges = np.column_stack([np.arange(nodes - 1), np.arange(1, nodes)]).astype(np.int32)
+    poses = np.tile(FLOATS[dimension][0], (nodes, 1))
+    poses[:, :dimension] = random.normal(size=(nodes, dimension))
+    fixed = np.arange(nodes) == 0
+
+    def build():
+        graph = _core.Topology(nodes, edges.copy())
+        order = _core.Elimination(graph, fixed, np.empty(0, np.int32))
+        z = np.tile(FLOATS[dimension][0], (nodes - 1, 1))
+        return _core.NormalEquations(graph, order, z, np.tile(np.eye(dof), (nodes - 1, 1, 1)))
+
+    equations = build()
+    # What was freed would be written over.
+    other = [np.full((nodes - 1, k), np.nan) for k in (3, 7, 9, 36, 1) for _ in range(20)]
+    chi2 = np.square(np.diff(poses[:, :dimension], axis=0)).sum()
+    assert np.isclose(equations.chi2(poses), chi2)
+    assert np.isclose(equations.linearize(poses), chi2)
+    assert len(other) == 100
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_weight_multiplies_the_information(dimension):
+    dof = 3 * (dimension - 1)
+    poses, z = FLOATS[dimension].copy(), FLOATS[dimension][:1]
+    poses[1, :dimension] = 1
+    order = elimination(np.array([True, False]))
+    w = np.eye(dof)[None] + 0.1
+    weighted = _core.NormalEquations(topology(), order, z, w)
+    plain = _core.NormalEquations(topology(), order, z, 2.5 * w)
+    assert np.isclose(weighted.linearize(poses, np.array([2.5])), plain.linearize(poses))
+    assert np.allclose(weighted.rhs(), plain.rhs())
+    assert np.allclose(weighted.diagonal(), plain.diagonal())
+    with pytest.raises(ValueError, match="one weight an edge"):
+        weighted.linearize(poses, np.ones(2))

@@ -22,22 +22,42 @@ namespace {
 
 using namespace nb::literals;
 
-std::unique_ptr<NormalEquations> make_equations(const Topology& graph,
+// Keeps alive what the equations refer to.
+template <class Group>
+class EquationsOfArrays final : public NormalEquationsOf<Group> {
+ public:
+  EquationsOfArrays(nb::object topology, std::shared_ptr<Elimination> elimination,
+                    const Table<double>& measurements, const Stack& information, int threads)
+      : NormalEquationsOf<Group>(*nb::inst_ptr<Topology>(topology), std::move(elimination),
+                                 measurements.data(), information.data(), threads),
+        topology_(std::move(topology)),
+        measurements_(measurements),
+        information_(information) {}
+
+ private:
+  nb::object topology_;
+  Table<double> measurements_;
+  Stack information_;
+};
+
+std::unique_ptr<NormalEquations> make_equations(nb::handle_t<Topology> topology,
                                                 std::shared_ptr<Elimination> elimination,
                                                 const Table<double>& measurements,
                                                 const Stack& information, int threads) {
+  const Topology& graph = *nb::inst_ptr<Topology>(topology);
   const std::size_t m = graph.edges().size();
   require(measurements.shape(0) == m && information.shape(0) == m, "one row an edge");
   require(
       elimination->nodes() == graph.nodes() && elimination->edges() == static_cast<std::int64_t>(m),
       "the elimination must be of the same graph");
+  nb::object owner = nb::borrow(topology);
   nb::gil_scoped_release release;
   return with_group(
       measurements.shape(1), [&]<class Group>(Group*) -> std::unique_ptr<NormalEquations> {
         require(information.shape(1) == Group::kDof && information.shape(2) == Group::kDof,
                 "information must be (m, d, d)");
-        return std::make_unique<NormalEquationsOf<Group>>(
-            graph, std::move(elimination), measurements.data(), information.data(), threads);
+        return std::make_unique<EquationsOfArrays<Group>>(std::move(owner), std::move(elimination),
+                                                          measurements, information, threads);
       });
 }
 
@@ -49,16 +69,6 @@ const double* check_poses(const NormalEquations& equations, const Table<double>&
 }
 
 std::size_t unknowns(const NormalEquations& e) { return e.free_nodes().size() * e.dof(); }
-
-Array<double> edge_chi2(NormalEquations& equations, const Table<double>& poses) {
-  const double* const p = check_poses(equations, poses);
-  std::vector<double> out(equations.edges());
-  {
-    nb::gil_scoped_release release;
-    equations.edge_chi2(p, out.data());
-  }
-  return as_array(std::move(out));
-}
 
 Array<double> step_of(NormalEquations& equations) {
   std::vector<double> step(unknowns(equations));
@@ -95,7 +105,6 @@ void bind_equations(nb::module_& m) {
             return e.chi2(p);
           },
           "poses"_a)
-      .def("edge_chi2", &edge_chi2, "poses"_a)
       .def(
           "linearize",
           [](NormalEquations& e, const Table<double>& poses,
@@ -104,7 +113,7 @@ void bind_equations(nb::module_& m) {
             std::span<const double> w;
             if (weights) {
               w = span_of(*weights);
-              require(w.size() == static_cast<std::size_t>(e.edges()), "one weight an edge");
+              require(w.size() == static_cast<std::size_t>(e.factors()), "one weight an edge");
             }
             nb::gil_scoped_release release;
             return e.linearize(p, w);

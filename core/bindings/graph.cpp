@@ -9,7 +9,8 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
-#include "graph/residuals.hpp"
+#include "factors/relative_pose.hpp"
+#include "factors/sums.hpp"
 #include "graph/topology.hpp"
 #include "initializers/placement.hpp"
 #include "initializers/toro.hpp"
@@ -124,7 +125,8 @@ Array<double> residuals_of(const Topology& graph, const Table<double>& measureme
   {
     nb::gil_scoped_release release;
     with_group(poses.shape(1), [&]<class Group>(Group*) {
-      residuals<Group>(graph, measurements.data(), poses.data(), out.data());
+      residuals(RelativePoseFactors<Group>(graph.edges(), measurements.data()),
+                typename Group::Table(poses.data(), graph.nodes()), out.data());
     });
   }
   return as_array(std::move(out), {measurements.shape(0), dof});
@@ -139,7 +141,8 @@ Array<double> chi2_of_edges(const Topology& graph, const Table<double>& measurem
                 information.shape(2) == Group::kDof,
             "information must be (m, d, d)");
     nb::gil_scoped_release release;
-    chi2_per_edge<Group>(graph, measurements.data(), information.data(), poses.data(), out.data());
+    costs(RelativePoseFactors<Group>(graph.edges(), measurements.data(), information.data()),
+          typename Group::Table(poses.data(), graph.nodes()), out.data());
   });
   return as_array(std::move(out));
 }

@@ -8,19 +8,20 @@
 
 #include "graph/information_queue.hpp"
 #include "graph/topology.hpp"
+#include "lie/group.hpp"
 
 namespace masat {
 
 // Where `node` lies according to its neighbor at `pose`: z leads from the neighbor to the node
 // when `edge` >= 0, otherwise from the node to the neighbor.
-template <class Group>
+template <LieGroup Group>
 Group propose(const Group& pose, const Group& z, std::int32_t edge) {
   return pose * (edge >= 0 ? z : z.inverse());
 }
 
 // The average of what neighbors, of which there is at least one, say of a node. Not inlined, it
 // costs MASAT a tenth of its time.
-template <class Group>
+template <LieGroup Group>
 [[gnu::always_inline]] inline Group average(std::span<const Incidence> neighbors,
                                             const Group* placed, const typename Group::Table& z) {
   const auto proposal = [&](const Incidence& i) {
@@ -32,7 +33,7 @@ template <class Group>
 }
 
 // Places each node of the tree from its parent. The poses of the roots are given.
-template <class Group>
+template <LieGroup Group>
 void place_along_tree(const Topology& graph, std::span<const TreeLink> links,
                       const double* measurements, double* poses) {
   std::vector<Group> placed(graph.nodes());
@@ -52,7 +53,7 @@ void place_along_tree(const Topology& graph, std::span<const TreeLink> links,
 // MASAT: breadth-first from the roots, each node once, at the average of the proposals of its
 // neighbors already placed. A neighbor that waits in the queue says nothing. The poses of the
 // roots are given.
-template <class Group>
+template <LieGroup Group>
 void place_by_masat(const Topology& graph, std::span<const std::int32_t> roots,
                     const double* measurements, double* poses) {
   enum State : char { kUnseen, kQueued, kPlaced };
@@ -92,9 +93,9 @@ void place_by_masat(const Topology& graph, std::span<const std::int32_t> roots,
 // As MASAT, but next comes the node of which most is known. A measurement has the variance 1, a
 // placed node 1 / (sum of its proposals' information), and its proposal the sum of both. The poses
 // of the roots are given, and certain.
-template <class Group>
+template <LieGroup Group>
 void place_most_informed_first(const Topology& graph, std::span<const std::int32_t> roots,
-                        const double* measurements, double* poses) {
+                               const double* measurements, double* poses) {
   const std::size_t edges = graph.edges().size();
   const typename Group::Table z(measurements, static_cast<std::int64_t>(edges));
   std::vector<Group> placed(graph.nodes());

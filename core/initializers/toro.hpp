@@ -10,13 +10,14 @@
 
 #include "graph/topology.hpp"
 #include "initializers/placement.hpp"
+#include "lie/group.hpp"
 
 namespace masat {
 
 // Nodes are held by their poses in the frames of their parents. An edge sees the path through the
 // tree between its ends: it turns and shifts the nodes on it by shares of its error that grow from
 // nothing, where the two sides of the path meet, to the ends. What hangs on the path follows.
-template <class Group>
+template <LieGroup Group>
 class TreeDescent {
  public:
   // `poses` holds those of the roots, which stay; `information` a matrix an edge.
@@ -192,7 +193,7 @@ class TreeDescent {
 
 // TORO: the breadth-first tree, improved by sweeps of decreasing rate. The poses of the roots are
 // given.
-template <class Group>
+template <LieGroup Group>
 void place_by_toro(const Topology& graph, std::span<const std::int32_t> roots,
                    const double* measurements, const double* information, int sweeps,
                    double* poses) {

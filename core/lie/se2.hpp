@@ -63,7 +63,7 @@ struct SE2 {
 
   using Vector = Eigen::Vector2d;
   Vector translation() const { return {x, y}; }
-  // The same rotation elsewhere.
+  // The same rotation at another translation.
   SE2 at(const Vector& to) const { return {to.x(), to.y(), theta, c, s}; }
 
   class Mean;
@@ -73,8 +73,14 @@ struct SE2 {
 // An array of poses with the trigonometry done in one pass.
 class SE2::Table {
  public:
-  Table(const double* poses, std::int64_t count)
-      : poses_(poses), rotations_(std::make_unique_for_overwrite<SinCos[]>(count)) {
+  Table() = default;
+  Table(const double* poses, std::int64_t count) { assign(poses, count); }
+  void assign(const double* poses, std::int64_t count) {
+    poses_ = poses;
+    if (count > capacity_) {
+      rotations_ = std::make_unique_for_overwrite<SinCos[]>(count);
+      capacity_ = count;
+    }
     sincos(poses + 2, kSize, count, rotations_.get());
   }
   SE2 operator[](std::int64_t k) const {
@@ -83,8 +89,9 @@ class SE2::Table {
   }
 
  private:
-  const double* poses_;
+  const double* poses_ = nullptr;
   std::unique_ptr<SinCos[]> rotations_;
+  std::int64_t capacity_ = 0;
 };
 
 // Average of poses: mean position; direction of the mean unit vector of the headings.
@@ -101,7 +108,7 @@ class SE2::Mean {
   SE2 get() const {
     if (count_ == 1) return first_;
     const double norm = std::sqrt(sum_.c * sum_.c + sum_.s * sum_.s), k = 1.0 / count_;
-    // Headings that cancel have no mean: the first one stands.
+    // Headings that cancel have no mean: the first one is kept.
     if (norm == 0) return {sum_.x * k, sum_.y * k, first_.theta, first_.c, first_.s};
     return {sum_.x * k, sum_.y * k, std::atan2(sum_.s, sum_.c), sum_.c / norm, sum_.s / norm};
   }
@@ -111,7 +118,7 @@ class SE2::Mean {
   int count_ = 1;
 };
 
-// The rotation of a pose, of which fractions can be taken.
+// The rotation of a pose; operator() returns a fraction of it.
 class SE2::Turn {
  public:
   explicit Turn(const SE2& p) : angle_(wrap_angle(p.theta)) {}
@@ -124,28 +131,38 @@ class SE2::Turn {
   double angle_;
 };
 
+namespace detail {
+// b's position in the frame of a.
+inline SE2::Vector position_in(const SE2& a, const SE2& b) {
+  const double dx = b.x - a.x, dy = b.y - a.y;
+  return {a.c * dx + a.s * dy, a.c * dy - a.s * dx};
+}
+// The error of b at a position in the frame of a.
+inline SE2::Tangent error_at(const SE2::Vector& position, const SE2& z, const SE2& a,
+                             const SE2& b) {
+  const double u = position.x() - z.x, v = position.y() - z.y;
+  return {z.c * u + z.s * v, z.c * v - z.s * u, wrap_angle(b.theta - a.theta - z.theta)};
+}
+}  // namespace detail
+
 // g2o's EDGE_SE2 error: (x, y, theta) of z^-1 (a^-1 b).
 inline SE2::Tangent error(const SE2& z, const SE2& a, const SE2& b) {
-  const double dx = b.x - a.x, dy = b.y - a.y;
-  const double u = a.c * dx + a.s * dy - z.x, v = a.c * dy - a.s * dx - z.y;
-  return {z.c * u + z.s * v, z.c * v - z.s * u, wrap_angle(b.theta - a.theta - z.theta)};
+  return detail::error_at(detail::position_in(a, b), z, a, b);
 }
 
 // The error and its derivatives with respect to a * da and b * db at da = db = 0.
 inline SE2::Tangent error(const SE2& z, const SE2& a, const SE2& b, SE2::Square& da,
                           SE2::Square& db) {
-  const double dx = b.x - a.x, dy = b.y - a.y;
-  const double px = a.c * dx + a.s * dy, py = a.c * dy - a.s * dx;  // b seen from a
-  const double u = px - z.x, v = py - z.y;
-  da << -z.c, -z.s, z.c * py - z.s * px,  //
-      z.s, -z.c, -z.s * py - z.c * px,    //
+  const SE2::Vector p = detail::position_in(a, b);
+  da << -z.c, -z.s, z.c * p.y() - z.s * p.x(),  //
+      z.s, -z.c, -z.s * p.y() - z.c * p.x(),    //
       0, 0, -1;
   const double c = a.c * b.c + a.s * b.s, s = a.c * b.s - a.s * b.c;  // heading of b in a
   const double ec = z.c * c + z.s * s, es = z.c * s - z.s * c;        // and in z
   db << ec, -es, 0,                                                   //
       es, ec, 0,                                                      //
       0, 0, 1;
-  return {z.c * u + z.s * v, z.c * v - z.s * u, wrap_angle(b.theta - a.theta - z.theta)};
+  return detail::error_at(p, z, a, b);
 }
 
 }  // namespace masat

@@ -59,7 +59,7 @@ struct SE3 {
 
   using Vector = Eigen::Vector3d;
   const Vector& translation() const { return t; }
-  // The same rotation elsewhere.
+  // The same rotation at another translation.
   SE3 at(const Vector& to) const { return {to, q}; }
 
   class Mean;
@@ -69,11 +69,13 @@ struct SE3 {
 // An array of poses.
 class SE3::Table {
  public:
-  Table(const double* poses, std::int64_t) : poses_(poses) {}
+  Table() = default;
+  Table(const double* poses, std::int64_t count) { assign(poses, count); }
+  void assign(const double* poses, std::int64_t) { poses_ = poses; }
   SE3 operator[](std::int64_t k) const { return load(poses_ + kSize * k); }
 
  private:
-  const double* poses_;
+  const double* poses_ = nullptr;
 };
 
 // Average of poses: mean position; mean of the unit quaternions, each with the sign that lies
@@ -112,7 +114,7 @@ inline Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
 }
 }  // namespace detail
 
-// The rotation of a pose, of which fractions can be taken: by the shorter way about a fixed axis.
+// The rotation of a pose; operator() returns a fraction of it, by the shorter way about its axis.
 class SE3::Turn {
  public:
   explicit Turn(const SE3& p) {
@@ -132,22 +134,40 @@ class SE3::Turn {
   double half_ = 0;  // of the angle
 };
 
+namespace detail {
+// b's position in the frame of a.
+inline Eigen::Vector3d position_in(const SE3& a, const SE3& b) {
+  return a.q.conjugate() * (b.t - a.t);
+}
+// The rotation of z^-1 (a^-1 b), with w >= 0.
+inline Eigen::Quaterniond rotation_error(const SE3& z, const SE3& a, const SE3& b) {
+  return with_positive_w(z.q.conjugate() * (a.q.conjugate() * b.q));
+}
+// The error of a position in the frame of a, and of a rotation error. `back` is the inverse
+// rotation of z, as a quaternion or a matrix.
+template <class Rotation>
+SE3::Tangent error_at(const Eigen::Vector3d& position, const Eigen::Quaterniond& rotation,
+                      const SE3& z, const Rotation& back) {
+  SE3::Tangent e;
+  e.head<3>() = back * (position - z.t);
+  e.tail<3>() = rotation.vec();
+  return e;
+}
+}  // namespace detail
+
 // g2o's EDGE_SE3:QUAT error: (translation, vector part of the quaternion with w >= 0) of
 // z^-1 (a^-1 b).
 inline SE3::Tangent error(const SE3& z, const SE3& a, const SE3& b) {
-  SE3::Tangent e;
-  e.head<3>() = z.q.conjugate() * (a.q.conjugate() * (b.t - a.t) - z.t);
-  e.tail<3>() = detail::with_positive_w(z.q.conjugate() * (a.q.conjugate() * b.q)).vec();
-  return e;
+  return detail::error_at(detail::position_in(a, b), detail::rotation_error(z, a, b), z,
+                          z.q.conjugate());
 }
 
 // The error and its derivatives with respect to a * da and b * db at da = db = 0.
 inline SE3::Tangent error(const SE3& z, const SE3& a, const SE3& b, SE3::Square& da,
                           SE3::Square& db) {
+  const Eigen::Vector3d p = detail::position_in(a, b);
+  const Eigen::Quaterniond r = detail::rotation_error(z, a, b);
   const Eigen::Matrix3d zt = z.q.conjugate().toRotationMatrix();
-  const Eigen::Quaterniond ab = a.q.conjugate() * b.q;
-  const Eigen::Vector3d p = a.q.conjugate() * (b.t - a.t);  // b seen from a
-  const Eigen::Quaterniond r = detail::with_positive_w(z.q.conjugate() * ab);
   const Eigen::Matrix3d cross = detail::cross_matrix(r.vec());
   const Eigen::Matrix3d w = r.w() * Eigen::Matrix3d::Identity();
 
@@ -159,11 +179,7 @@ inline SE3::Tangent error(const SE3& z, const SE3& a, const SE3& b, SE3::Square&
   db.topRightCorner<3, 3>().setZero();
   db.bottomLeftCorner<3, 3>().setZero();
   db.bottomRightCorner<3, 3>() = w + cross;
-
-  SE3::Tangent e;
-  e.head<3>().noalias() = zt * (p - z.t);
-  e.tail<3>() = r.vec();
-  return e;
+  return detail::error_at(p, r, z, zt);
 }
 
 }  // namespace masat
