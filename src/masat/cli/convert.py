@@ -30,10 +30,10 @@ def convert(
             {
                 "file": str(file),
                 "out": str(out),
-                "nodes": len(graph.ids),
+                "nodes": len(graph),
                 "edges": len(graph.edges),
                 "notes": list(graph.notes),
             }
         )
     elif not quiet:
-        click.echo(f"{out}: {len(graph.ids)} nodes, {len(graph.edges)} edges")
+        click.echo(f"{out}: {len(graph)} nodes, {len(graph.edges)} edges")

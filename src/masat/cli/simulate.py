@@ -87,15 +87,11 @@ def simulate(
     The output file has measurements and no poses, so that the initial guess has to be computed. The
     true poses are written to another file with --truth.
     """
-    options.check_outputs(None, out)
-    options.check_outputs(None, truth)
+    options.check_outputs(None, out, truth, picture)
     for target in (out, truth):
         if target is not None:
             format_of(target)
     options.check_picture(picture)
-    targets = [target.absolute() for target in (out, truth, picture) if target is not None]
-    if len(set(targets)) < len(targets):
-        raise MasatError("--output, --truth and --plot must be different files")
     size = {name: n for name, n in (("nodes", nodes), ("edges", edges)) if n is not None}
     try:
         exact = WORLDS[world](**size, seed=seed)
