@@ -1,4 +1,4 @@
-// The graph, and the starts that walk over it.
+// The graph, its residuals, and the initial guesses that walk over it.
 #include <nanobind/nanobind.h>
 
 #include <cstddef>

@@ -1,4 +1,4 @@
-// Poses, rotations and information matrices, a row each.
+// Poses, rotations and information matrices, one a row.
 #include <nanobind/nanobind.h>
 
 #include <cstddef>

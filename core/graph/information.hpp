@@ -16,7 +16,7 @@ std::vector<std::int64_t> not_positive_definite(const double* matrices, std::siz
   std::vector<std::int64_t> bad;
   for (std::size_t k = 0; k < count; ++k) {
     const Eigen::LLT<Square> llt(Eigen::Map<const Square>(matrices + k * Dof * Dof));
-    // Where elimination overflows, a pivot can be no number, which Eigen lets pass.
+    // Where elimination overflows, a pivot can be NaN, which Eigen does not report.
     const bool positive = (llt.matrixLLT().diagonal().array() > 0).all();
     if (llt.info() != Eigen::Success || !positive) bad.push_back(static_cast<std::int64_t>(k));
   }

@@ -1,4 +1,4 @@
-// Which node is known best of those that wait.
+// A queue of nodes by the information about them.
 #pragma once
 
 #include <bit>
@@ -10,23 +10,24 @@
 
 namespace masat {
 
-// Nodes by the information gathered of each: the one with most comes first, of equals the one that
-// reached its class first. A class spans a sixteenth of a power of two: its number is a float's
-// leading bits. Each operation takes constant time.
+// The node with most information comes first. Nodes in the same class count as equal, and the one
+// that reached the class first comes first. A class spans a sixteenth of a power of two: its number
+// is given by the leading bits of a float. Each operation takes constant time.
 class InformationQueue {
  public:
   struct Entry {
-    std::int32_t node;  // -1: none waits
+    std::int32_t node;  // -1: the queue is empty
     float information;
   };
 
-  InformationQueue(std::int32_t nodes, std::size_t additions) : information_(nodes, 0), last_(kClasses) {
+  InformationQueue(std::int32_t nodes, std::size_t additions)
+      : information_(nodes, 0), last_(kClasses) {
     links_.reserve(kClasses + additions);
     links_.resize(kClasses, {-1, -1});
     std::iota(last_.begin(), last_.end(), 0);
   }
 
-  // Adds information of a node that is still to come. Sums lie in [2^-32, 2^32).
+  // Adds information about a node that has not been taken. Sums lie in [2^-32, 2^32).
   void add(std::int32_t node, float information) {
     float& sum = information_[node];
     const std::uint32_t before = class_of(sum);
@@ -52,7 +53,7 @@ class InformationQueue {
         full_[word] &= ~(std::uint64_t{1} << top % kWord);
         if (full_[word] == 0) words_ &= ~(std::uint64_t{1} << word);
       }
-      // Otherwise it was taken, or more became known of it, from a higher class.
+      // Otherwise this is an old entry: the node was taken already, or has moved to a higher class.
       const float sum = information_[first.node];
       if (class_of(sum) != top) continue;
       retire(first.node);
@@ -61,7 +62,7 @@ class InformationQueue {
     return {-1, 0};
   }
 
-  // The node is not to come (again).
+  // Removes a node for good.
   void retire(std::int32_t node) { information_[node] = kRetired; }
   bool retired(std::int32_t node) const { return std::signbit(information_[node]); }
 
@@ -71,15 +72,15 @@ class InformationQueue {
   };
   static constexpr float kRetired = -1;
   static constexpr std::uint32_t kMantissaBits = 4, kClasses = 64 << kMantissaBits, kWord = 64;
-  static std::uint32_t class_of(float x) {  // beyond kClasses: that of nothing, and of kRetired
+  static std::uint32_t class_of(float x) {  // kClasses or more: of 0 and kRetired
     const std::uint32_t least = std::bit_cast<std::uint32_t>(0x1p-32f);
     return (std::bit_cast<std::uint32_t>(x) >> (23 - kMantissaBits)) -
            (least >> (23 - kMantissaBits));
   }
 
   std::vector<float> information_;
-  std::vector<Link> links_;         // the first kClasses stand before the lists of the classes
-  std::vector<std::int32_t> last_;  // of the list of a class
+  std::vector<Link> links_;         // the first kClasses are heads of the lists
+  std::vector<std::int32_t> last_;  // of each class's list
   std::uint64_t full_[kClasses / kWord] = {}, words_ = 0;  // classes, and words of them, in use
 };
 

@@ -1,4 +1,4 @@
-// Which node is joined to which: flat adjacency arrays and the walks over them.
+// Which nodes the edges join: flat adjacency arrays and the walks over them.
 #pragma once
 
 #include <cstdint>

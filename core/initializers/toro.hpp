@@ -14,9 +14,10 @@
 
 namespace masat {
 
-// Nodes are held by their poses in the frames of their parents. An edge sees the path through the
-// tree between its ends: it turns and shifts the nodes on it by shares of its error that grow from
-// nothing, where the two sides of the path meet, to the ends. What hangs on the path follows.
+// Each node's pose is stored in the frame of its parent. An edge acts on the path through the tree
+// between its nodes: it turns and shifts the nodes on the path by fractions of its residual that
+// grow from zero, where the two sides of the path meet, to the ends. Subtrees that hang from the
+// path move along.
 template <LieGroup Group>
 class TreeDescent {
  public:
@@ -45,12 +46,12 @@ class TreeDescent {
   }
 
   // One step of each edge, those whose paths reach highest first. The gradient is scaled by the
-  // preconditioner and `rate`, but no edge goes further than to where it has no error.
+  // preconditioner and `rate`, but no step goes beyond where the edge's residual is zero.
   void sweep(double rate) {
     for (const std::int32_t k : order_) {
       climb(edges_[k]);
       if (from_.length + to_.length == 0) continue;
-      const Pair total = place(from_) + place(to_);
+      const Pair total = compute_poses(from_) + compute_poses(to_);
       const Group z = z_[k];
 
       const typename Group::Turn turn(from_.end() * z * to_.end().inverse());
@@ -77,13 +78,13 @@ class TreeDescent {
  private:
   using Vector = typename Group::Vector;
 
-  struct Pair {  // of what concerns rotations and translations
+  struct Pair {  // one number for rotations, one for translations
     double turn = 0, shift = 0;
     Pair operator+(const Pair& b) const { return {turn + b.turn, shift + b.shift}; }
   };
   struct Node {
     std::int32_t parent = -1, depth = 0;
-    Pair slack;  // how readily it yields: 1 / the weight of all edges whose paths hold it
+    Pair slack;  // 1 / (the sum of the weights of the edges whose paths contain it)
   };
   struct Step {
     std::int32_t node;
@@ -93,7 +94,7 @@ class TreeDescent {
   struct Side {
     std::vector<Step> steps;
     std::int32_t length = 0;
-    Group top;  // where the sides meet, that is the frame; two roots have poses of their own
+    Group top;  // the pose where the sides meet, which is the frame; or that of the side's root
     const Group& end() const { return length > 0 ? steps.front().pose : top; }
   };
 
@@ -142,8 +143,8 @@ class TreeDescent {
     to_.top = a == b ? Group{} : Group::load(local(b));
   }
 
-  // Places the nodes of a side; returns the sum of their slacks.
-  Pair place(Side& side) const {
+  // Computes the poses of the nodes of a side; returns the sum of their slacks.
+  Pair compute_poses(Side& side) const {
     Pair sum;
     const Group* parent = &side.top;
     for (std::int32_t i = side.length; i-- > 0;) {
@@ -155,27 +156,27 @@ class TreeDescent {
     return sum;
   }
 
-  // Turns the nodes of a side, in the frame of its top, and places them anew.
+  // Turns the nodes of a side, in the frame of its top, and recomputes their positions.
   void rotate(Side& side, const typename Group::Turn& turn, double scale) {
-    double share = 0;
+    double fraction = 0;
     const Group* parent = &side.top;
     for (std::int32_t i = side.length; i-- > 0;) {
       Step& step = side.steps[i];
-      share += nodes_[step.node].slack.turn;
+      fraction += nodes_[step.node].slack.turn;
       const Vector t = (*parent * Group::load(local(step.node))).translation();
-      step.pose = (turn(scale * share) * step.pose).at(t);
+      step.pose = (turn(scale * fraction) * step.pose).at(t);
       parent = &step.pose;
     }
   }
 
-  // Shifts the nodes of a side, and takes them over into the tree.
+  // Shifts the nodes of a side, and stores their poses in the tree.
   void shift(Side& side, const Vector& by) {
-    double share = 0;
+    double fraction = 0;
     const Group* parent = &side.top;
     for (std::int32_t i = side.length; i-- > 0;) {
       Step& step = side.steps[i];
-      share += nodes_[step.node].slack.shift;
-      step.pose = step.pose.at(step.pose.translation() + share * by);
+      fraction += nodes_[step.node].slack.shift;
+      step.pose = step.pose.at(step.pose.translation() + fraction * by);
       (parent->inverse() * step.pose).store(local(step.node));
       parent = &step.pose;
     }
@@ -185,7 +186,7 @@ class TreeDescent {
   std::span<const TreeLink> links_;
   typename Group::Table z_;
   std::vector<Node> nodes_;
-  std::vector<double> local_;  // in the frames of the parents, those of roots in the world
+  std::vector<double> local_;  // in the frames of the parents; those of roots in the world
   std::vector<Pair> weight_;
   std::vector<std::int32_t> order_;
   Side from_, to_;

@@ -12,7 +12,7 @@ struct Stiefel {
   static constexpr int kTurns = D * (D - 1) / 2, kDof = kTurns + D * (P - D);
   using Frame = Eigen::Matrix<double, D, P, Eigen::RowMajor>;
   using Square = Eigen::Matrix<double, D, D>;
-  // Its columns are frames, row by row.
+  // Each column is a change of the frame, row by row.
   using Basis = Eigen::Matrix<double, D * P, kDof>;
 
   static Square symmetric(const Frame& a, const Frame& b) {
@@ -20,7 +20,7 @@ struct Stiefel {
     return (product + product.transpose()) / 2;
   }
 
-  // Turns among the rows, and turns of each row out of their span.
+  // Orthonormal: turns among the rows, and turns of each row out of their span.
   static Basis basis(const Frame& y) {
     Basis out = Basis::Zero();
     int column = 0;
@@ -33,7 +33,7 @@ struct Stiefel {
     Eigen::Matrix<double, P, P> full;  // columns: the rows, then their complement
     full.template leftCols<D>() = y.transpose();
     for (int k = D; k < P; ++k) {
-      // Of the unit vectors, the one farthest from the span so far.
+      // Start from the unit vector that is farthest from the span so far.
       Eigen::Index farthest = 0;
       full.leftCols(k).rowwise().squaredNorm().minCoeff(&farthest);
       Eigen::Matrix<double, P, 1> v = Eigen::Matrix<double, P, 1>::Unit(farthest);
@@ -48,7 +48,7 @@ struct Stiefel {
     return out;
   }
 
-  // Gram and Schmidt.
+  // By the method of Gram and Schmidt.
   static Frame orthonormal(Frame y) {
     for (int i = 0; i < D; ++i) {
       for (int j = 0; j < i; ++j) y.row(i) -= y.row(i).dot(y.row(j)) * y.row(j);
