@@ -127,7 +127,7 @@ def test_a_diagnosis_lists_its_issues():
     assert [rows["issue"]] == list(diagnosis.issues)
 
 
-@pytest.mark.parametrize("status", ["optimal", "surrogate", "refuted", "undecided", "new"])
+@pytest.mark.parametrize("status", ["optimal", "refuted", "undecided", "new"])
 def test_a_certificate_is_shown_with_its_status(status):
     html = certificate_html(certificate(status=status))
     rows, pictures = page(html)
@@ -139,7 +139,7 @@ def test_a_certificate_is_shown_with_its_status(status):
 def test_only_what_is_proven_is_green():
     colors = {
         s: certificate_html(certificate(status=s)).split("background:")[1][:7]
-        for s in ("optimal", "surrogate", "refuted", "undecided")
+        for s in ("optimal", "refuted", "undecided")
     }
     assert len(set(colors.values())) == 4
 

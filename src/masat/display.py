@@ -22,7 +22,6 @@ _LONGEST_LIST = 5
 # Backgrounds of white text, readable in light and dark notebooks.
 _COLORS = {
     "optimal": "#1a7f37",
-    "surrogate": "#9a6700",
     "refuted": "#cf222e",
     "undecided": "#57606a",
 }

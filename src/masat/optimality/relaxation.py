@@ -73,7 +73,7 @@ class Relaxation:
         self._matrix = _core.GraphMatrix(graph.elimination, graph.dimension + 1)
         rotation = self.surrogate.rotation
         if rotation.ndim == 3:
-            rotation = np.einsum("kii->k", rotation) / graph.dimension
+            rotation = np.linalg.norm(rotation, axis=(1, 2)) / graph.dimension**0.5
         self._scale = float(np.median(rotation)) if len(graph.edges) else 1.0
 
     def cost(self, x: Floats) -> float:
@@ -141,14 +141,28 @@ class Relaxation:
         out = np.zeros((*x.shape[:2], _LIFTED_RANK))
         out[:, :, :old] = x
         self._assemble(out)
-        damping = np.tile([5e-4 * self._scale] * d + [0.0], len(self._free))
-        failed = self._matrix.factorize(damping)
+        damping = np.zeros((len(self._free), d + 1))
+        damping[:, :d] = (5e-4 * self._scale + self._excess()[self._free])[:, None]
+        failed = self._matrix.factorize(damping.ravel())
         if failed >= 0:
             raise linear.undetermined(self.graph, int(self._free[failed]))
         noise = rng.normal(size=(len(self._free), d + 1, _LIFTED_RANK - old))
         smooth = self._matrix.solve(noise)
         out[self._free, :, old:] = smooth * (_NOISE / np.sqrt(np.square(smooth[:, :d]).mean()))
         return out
+
+    def _excess(self) -> Floats:
+        """Return what each node, (n,), needs on its diagonal for the matrix to be semidefinite.
+
+        The node blocks hold tr(A) / d, less than the norm of A where A is anisotropic.
+        """
+        a, n = self.surrogate.rotation, len(self.graph)
+        if a.ndim == 1:
+            return np.zeros(n)
+        norm = np.linalg.norm(a, 2, axis=(1, 2))
+        lacking = np.maximum(norm - np.einsum("kii->k", a) / self.graph.dimension, 0)
+        i, j = self.graph.edge_indices.T
+        return np.add(np.bincount(i, lacking, n), np.bincount(j, lacking, n))
 
     def minimize_lifted(self, x: Floats, *, decrease: float, seed: int) -> Point:
         """Descend from x at a higher rank, which noise opens."""
