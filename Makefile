@@ -17,10 +17,10 @@ demo: $(VENV)/.masat
 	$(BIN)/masat demo
 
 test: $(VENV)/.test
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto
 
 test-slow: $(VENV)/.test
-	$(BIN)/python -m pytest -m "slow or not slow"
+	$(BIN)/python -m pytest -n auto -m "slow or not slow"
 
 lint: $(VENV)/.lint $(VENV)/.test
 	$(BIN)/ruff check .
