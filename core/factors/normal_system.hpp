@@ -53,7 +53,9 @@ class NormalSystem {
   }
 
  private:
-  [[gnu::always_inline]] void add_node(std::int32_t index, const Square& j, const Square& wj,
+  // `wj` may be a product that is still to be computed, which is faster than a matrix.
+  template <class Product>
+  [[gnu::always_inline]] void add_node(std::int32_t index, const Square& j, const Product& wj,
                                        const Column& we) {
     Eigen::Map<Square>(matrix_.node_block(index)).noalias() += j.transpose() * wj;
     Eigen::Map<Column>(&rhs_[std::int64_t{kBlock} * index]).noalias() -= j.transpose() * we;
