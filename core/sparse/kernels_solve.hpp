@@ -22,22 +22,43 @@ struct Row<kWidth> {
   static constexpr std::int32_t kStep = 2;
 };
 
-// x -= the sum of a vector, always in the same order. Compilers turn the loads of halves into
-// shuffles of registers.
-inline void subtract_sum(double& x, const Vector& v) {
-#if MASAT_LANES == 2
-  const Vector& two = v;
+// The lower and the upper half of a vector, added. GCC 11 makes a little slower code of the loads.
+typedef double Two __attribute__((vector_size(16), may_alias));
+typedef double Four __attribute__((vector_size(32), may_alias));
+#if __has_builtin(__builtin_shufflevector)
+#if MASAT_LANES == 8
+inline Four add_halves(const Vector& v) {
+  return __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
+}
+#endif
+#if MASAT_LANES >= 4
+inline Two add_halves(const Four& v) {
+  return __builtin_shufflevector(v, v, 0, 1) + __builtin_shufflevector(v, v, 2, 3);
+}
+#endif
 #else
 #if MASAT_LANES == 8
-  typedef double Four __attribute__((vector_size(32), may_alias));
-  const auto* const fours = reinterpret_cast<const Four*>(&v);
-  const Four four = fours[0] + fours[1];
-#else
-  const Vector& four = v;
+inline Four add_halves(const Vector& v) {
+  const auto* const half = reinterpret_cast<const Four*>(&v);
+  return half[0] + half[1];
+}
 #endif
-  typedef double Two __attribute__((vector_size(16), may_alias));
-  const auto* const twos = reinterpret_cast<const Two*>(&four);
-  const Two two = twos[0] + twos[1];
+#if MASAT_LANES >= 4
+inline Two add_halves(const Four& v) {
+  const auto* const half = reinterpret_cast<const Two*>(&v);
+  return half[0] + half[1];
+}
+#endif
+#endif
+
+// x -= the sum of a vector, in the same order for all compilers.
+inline void subtract_sum(double& x, const Vector& v) {
+#if MASAT_LANES == 8
+  const Two two = add_halves(add_halves(v));
+#elif MASAT_LANES == 4
+  const Two two = add_halves(v);
+#else
+  const Two& two = v;
 #endif
   x -= two[0] + two[1];
 }

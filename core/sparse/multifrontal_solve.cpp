@@ -21,15 +21,16 @@ void Multifrontal::solve_blocks(std::span<double> x, Width width, Block block) c
     std::fill(std::copy(own, own + front.pivots * width, pivots), pivots + front.ld11 * width, 0.0);
   };
 
-  InterruptPoll poll;
+  // With one right-hand side, solving is short beside the factorization.
+  InterruptPoll interrupt;
   const double columns = double(x.size()) / std::max<double>(reciprocal_.size(), 1);
-  const auto operations = [&](const Front& front) {
-    return columns * front.pivots * (front.pivots + front.rows);
+  const auto poll = [&](const Front& front) {
+    if (width > 1) interrupt.add(columns * front.pivots * (front.pivots + front.rows));
   };
 
   for (std::int32_t f = 0; f < layout_.fronts(); ++f) {
     const Front front = layout_.front(f, factor_.data());
-    poll.add(operations(front));
+    poll(front);
     double* const rows = pivots + front.ld11 * width;
     for (auto base = x.begin(); base != x.end(); base += group) {
       double* const own = &base[layout_.first(f) * width];
@@ -46,7 +47,7 @@ void Multifrontal::solve_blocks(std::span<double> x, Width width, Block block) c
 
   for (std::int32_t f = layout_.fronts() - 1; f >= 0; --f) {
     const Front front = layout_.front(f, factor_.data());
-    poll.add(operations(front));
+    poll(front);
     double* const rows = pivots + front.ld11 * width;
     for (auto base = x.begin(); base != x.end(); base += group) {
       double* const own = &base[layout_.first(f) * width];
