@@ -6,6 +6,7 @@ import pytest
 
 import masat
 from masat import GraphError, PoseGraph, lie
+from masat.cli import main
 from masat.initializers.odometry import odometry_edges
 from masat.residuals import residuals
 from masat.worlds import add_false_closures, grid, manhattan, normalized, perturb
@@ -259,7 +260,7 @@ def test_information_without_residuals_is_not_normalized():
 def simulate(monkeypatch, *arguments):
     monkeypatch.setattr(sys, "argv", ["masat", "simulate", *map(str, arguments)])
     with pytest.raises(SystemExit) as stop:
-        masat.cli.main()
+        main()
     return stop.value.code
 
 
