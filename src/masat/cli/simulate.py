@@ -6,11 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import click
+import numpy as np
 
+from masat.arrays import Flags
 from masat.cli import options, show
 from masat.errors import MasatError
 from masat.formats import format_of, write
-from masat.worlds import WORLDS, perturb
+from masat.graph import PoseGraph
+from masat.initializers.odometry import odometry_edges
+from masat.worlds import WORLDS, add_false_closures, perturb
+from masat.worlds.false_closures import KINDS
 
 
 def _sigmas(
@@ -20,6 +25,29 @@ def _sigmas(
         return [float(number) for text in texts for number in text.split(",")]
     except ValueError:
         raise click.BadParameter("expected numbers, as in 0.1,0.1,0.05") from None
+
+
+def _kind_and_fraction(
+    context: click.Context, parameter: click.Parameter, text: str | None
+) -> tuple[str, float] | None:
+    if text is None:
+        return None
+    kind, _, fraction = text.partition(":")
+    try:
+        if kind in KINDS and 0 <= float(fraction) < 1:
+            return kind, float(fraction)
+    except ValueError:
+        pass
+    raise click.BadParameter(
+        f"expected one of {', '.join(KINDS)}, a colon and a fraction of at least 0 and below 1, as "
+        f"in random:0.5; got {text!r:.40}"
+    )
+
+
+def _spoiled(graph: PoseGraph, kind: str, fraction: float, seed: int) -> tuple[PoseGraph, Flags]:
+    """Add false loop closures, and label all edges."""
+    labels = np.where(odometry_edges(graph), "odometry", "closure")
+    return add_false_closures(replace(graph, labels=labels), kind, fraction, seed=seed)
 
 
 @click.command(
@@ -52,16 +80,24 @@ def _sigmas(
     "translation,rotation or x,y,z and the three of the rotation vector.  [default: no noise]",
 )
 @click.option(
+    "--false",
+    "false",
+    callback=_kind_and_fraction,
+    metavar="KIND:FRACTION",
+    help="Add false loop closures, so many that they are this fraction of all. Needs --noise. "
+    f"Kinds: {', '.join(KINDS)}. All edges are labeled: odometry, closure or false.",
+)
+@click.option(
     "--seed",
     type=click.IntRange(min=0),
     default=0,
     show_default=True,
-    help="Seed of the random walk and of the noise.",
+    help="Seed of the random walk, of the noise and of the false loop closures.",
 )
 @click.option(
     "--truth",
     type=click.Path(path_type=Path),
-    help="File for the graph with its true poses and without noise.",
+    help="File for the graph with its true poses, without noise and without false loop closures.",
 )
 @click.option(
     "--plot", "picture", type=click.Path(path_type=Path), help="File for a picture of the true map."
@@ -73,6 +109,7 @@ def simulate(
     nodes: int | None,
     edges: int | None,
     noise: list[float],
+    false: tuple[str, float] | None,
     seed: int,
     truth: Path | None,
     picture: Path | None,
@@ -92,10 +129,18 @@ def simulate(
         if target is not None:
             format_of(target)
     options.check_picture(picture)
+    if false is not None and not noise:
+        raise click.UsageError(
+            "--false needs --noise: a loop closure is false if its residual is far beyond the noise"
+        )
     size = {name: n for name, n in (("nodes", nodes), ("edges", edges)) if n is not None}
     try:
         exact = WORLDS[world](**size, seed=seed)
         measured = perturb(exact, noise, seed=seed) if noise else exact
+        false_count = None
+        if false is not None:
+            measured, is_false = _spoiled(measured, *false, seed)
+            false_count = int(is_false.sum())
     except MemoryError:
         raise MasatError("there is not enough memory for a world of this size") from None
     write(replace(measured, poses=None), out)
@@ -105,9 +150,12 @@ def simulate(
         from masat.plotting import plot
 
         plot({f"{world}, truth": exact}, picture)
-    counts = {"nodes": len(exact.ids), "edges": len(exact.edges)}
+    counts = {"nodes": len(measured.ids), "edges": len(measured.edges)}
     if as_json:
         files = {"out": str(out), "truth": None if truth is None else str(truth)}
-        show.as_json({"world": world, **files, **counts, "noise": noise, "seed": seed})
+        show.as_json(
+            {"world": world, **files, **counts, "false": false_count, "noise": noise, "seed": seed}
+        )
     elif not quiet:
-        click.echo(f"{out}: {counts['nodes']} nodes, {counts['edges']} edges")
+        part = "" if false_count is None else f", {false_count} of them false loop closures"
+        click.echo(f"{out}: {counts['nodes']} nodes, {counts['edges']} edges{part}")

@@ -1,4 +1,4 @@
-"""Simulated worlds: the true graph of a robot's walk, and noise for its measurements.
+"""Simulated worlds: the true graph of a robot's walk, noise, and false loop closures.
 
 A world is one file in this folder and one line of `WORLDS`.
 """
@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from masat.graph import PoseGraph
 from masat.worlds.city import city
+from masat.worlds.false_closures import add_false_closures, normalized
 from masat.worlds.garage import garage
 from masat.worlds.grid import grid
 from masat.worlds.manhattan import manhattan
@@ -26,4 +27,15 @@ WORLDS: dict[str, Callable[..., PoseGraph]] = {
 }
 """Functions of (nodes, edges, seed=0); the default sizes are those of public graphs."""
 
-__all__ = ["WORLDS", "city", "garage", "grid", "manhattan", "perturb", "sphere", "torus"]
+__all__ = [
+    "WORLDS",
+    "add_false_closures",
+    "city",
+    "garage",
+    "grid",
+    "manhattan",
+    "normalized",
+    "perturb",
+    "sphere",
+    "torus",
+]

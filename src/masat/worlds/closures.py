@@ -13,7 +13,7 @@ from masat.graph import PoseGraph
 from masat.lie import between
 
 # The core counts nodes and edges in 32 bits.
-_MAX_COUNT = 2**31 - 1
+MAX_COUNT = 2**31 - 1
 
 
 class NearPairs:
@@ -97,8 +97,8 @@ def check_size(nodes: int, edges: int | None) -> None:
             "a walk has at least two nodes, and an edge between each node and the next; got "
             f"{given}"
         )
-    if max(nodes, edges or 0) > _MAX_COUNT:
-        raise GraphError(f"a world has at most {_MAX_COUNT} nodes and edges")
+    if max(nodes, edges or 0) > MAX_COUNT:
+        raise GraphError(f"a world has at most {MAX_COUNT} nodes and edges")
 
 
 def check_seed(seed: int) -> None:

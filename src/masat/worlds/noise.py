@@ -82,13 +82,18 @@ def perturb(graph: PoseGraph, sigma: Sequence[float], *, seed: int = 0) -> PoseG
     spread = units * np.where(given > 0, given, ZERO_SIGMA)
     return PoseGraph.from_arrays(
         graph.edges,
-        (_planar if graph.dimension == 2 else _spatial)(graph.measurements, noise),
+        with_noise(graph.measurements, noise),
         np.diag(1 / spread**2),
         ids=graph.ids,
         poses=graph.poses,
         fixed=graph.fixed.tolist(),
         notes=graph.notes,
     )
+
+
+def with_noise(measurements: Floats, noise: Floats) -> Floats:
+    """Return measurements, (m, 3) or (m, 7), with this noise, (m, 3) or (m, 6); see `perturb`."""
+    return (_planar if measurements.shape[1] == 3 else _spatial)(measurements, noise)
 
 
 def _planar(measurements: Floats, noise: Floats) -> Floats:
