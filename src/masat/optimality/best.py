@@ -129,12 +129,12 @@ def _lift_all(
     progress: Progress,
     equations: _core.NormalEquations,
 ) -> Result:
-    """Lift all nodes of the guess, where memory allows it; return the lower minimum."""
+    """Lift all nodes, where memory allows it; return the lower minimum."""
     if Relaxation(guess).lifted_bytes() > _MAX_LIFTED_BYTES:
         return found
     progress.tell("lifting all nodes", found.chi2)
     try:
-        lifted = guess.with_poses(lift(guess, seed=seed))
+        lifted = guess.with_poses(lift(found.graph, seed=seed))
     except KeyboardInterrupt:
         progress.interrupt()
         return found
