@@ -1,0 +1,98 @@
+"""The loop closures of a graph, and the clusters that they form."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from masat import _core, lie
+from masat.arrays import Flags, Floats, Ids, Indices
+from masat.errors import OptimizationError
+from masat.graph import PoseGraph
+from masat.initializers.odometry import odometry_edges
+
+# Closures whose ends are both at most this many nodes apart are of one place.
+REACH = 10
+# chi2 that one honest measurement in 1,000 exceeds, and one in 100,000, for 3 and 6 degrees of
+# freedom.
+GATE = {3: 16.27, 6: 22.46}
+FAR_GATE = {3: 25.90, 6: 33.11}
+
+
+class Closures:
+    """The edges of a graph that may be false, against those that are trusted.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        The graph.
+    trusted : array_like of bool, (m,), optional
+        The edges to trust. Default: odometry, the first edge of each pair of consecutive ids.
+
+    Raises
+    ------
+    OptimizationError
+        If the mask has another shape, or no edge is trusted.
+    """
+
+    def __init__(self, graph: PoseGraph, trusted: ArrayLike | None = None) -> None:
+        mask = odometry_edges(graph) if trusted is None else np.asarray(trusted)
+        if mask.shape != (len(graph.edges),) or mask.dtype != np.bool_:
+            raise OptimizationError(
+                f"trusted must have a boolean for each of the {len(graph.edges)} edges, got "
+                f"{mask.dtype} of shape {mask.shape}"
+            )
+        if not mask.any():
+            raise OptimizationError(
+                "no edge is trusted: closures can be judged only against others, such as odometry "
+                "between consecutive ids; name the trusted edges"
+            )
+        self.graph = graph
+        self.trusted: Flags = mask
+        self.edges: Ids = np.flatnonzero(~mask)
+        self.covariance: Floats = np.linalg.inv(graph.information[self.edges])
+        ends = graph.edge_indices[self.edges].astype(np.int64)
+        self.reversed: Flags = ends[:, 0] > ends[:, 1]
+        # Ends in the order of the ids, so that closures of one place can be compared.
+        self.ends: Ids = np.sort(ends, axis=1)
+        measured = graph.measurements[self.edges].copy()
+        measured[self.reversed] = lie.inverse(measured[self.reversed])
+        self.measurements: Floats = measured
+
+    def __len__(self) -> int:
+        return len(self.edges)
+
+    def kept_edges(self, kept: Flags) -> Flags:
+        """Return the trusted edges and the kept closures, (m,)."""
+        out = self.trusted.copy()
+        out[self.edges[kept]] = True
+        return out
+
+    def graph_with(self, kept: Flags, poses: Floats) -> PoseGraph:
+        """Return the graph without the closures that are not kept, at some poses."""
+        return self.graph.without_edges(~self.kept_edges(kept)).with_poses(poses)
+
+    @cached_property
+    def pairs(self) -> Ids:
+        """Pairs of closures of one place, (p, 2)."""
+        order = np.lexsort((self.ends[:, 1], self.ends[:, 0]))
+        first, second = self.ends[order].T
+        found = [np.empty((0, 2), np.int64)]
+        for lag in range(1, len(order)):
+            near = first[lag:] - first[:-lag] <= REACH
+            if not near.any():
+                break
+            near &= np.abs(second[lag:] - second[:-lag]) <= REACH
+            k = np.flatnonzero(near)
+            found.append(np.column_stack([order[k], order[k + lag]]))
+        return np.concatenate(found)
+
+    @cached_property
+    def clusters(self) -> Indices:
+        """Cluster of each closure: those connected by pairs of one place, numbered from 0."""
+        if len(self) == 0:
+            return np.empty(0, np.int32)
+        ends = np.ascontiguousarray(self.pairs.astype(np.int32))
+        return _core.Topology(len(self), ends).components()

@@ -1,0 +1,212 @@
+"""The decision which closures to keep, and why the others are rejected."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from masat.arrays import AnyArray, Flags, Floats, locked
+from masat.errors import OptimizationError
+from masat.graph import PoseGraph
+from masat.progress import Progress
+from masat.robust.closures import GATE, Closures
+from masat.robust.growth import Growth
+from masat.robust.moves import improve
+from masat.robust.objective import cost
+from masat.robust.prediction import agreement
+
+# Quartiles of chi2 for 3 and 6 degrees of freedom: the lower one and the median.
+_QUARTILE, _MEDIAN = {3: 1.213, 6: 3.455}, {3: 2.366, 6: 5.348}
+# The information of the closures is rescaled where it seems off by more than this factor.
+_MAX_SCALE_ERROR = 4.0
+_MIN_COUNT = 10
+
+_TABLE = np.dtype(
+    [
+        ("edge", np.int64),
+        ("from", np.int64),
+        ("to", np.int64),
+        ("kept", np.bool_),
+        ("chi2", np.float64),
+        ("distance", np.float64),
+        ("log_ratio", np.float64),
+        ("cluster", np.int64),
+        ("reason", "U60"),
+    ]
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Decision:
+    """Which loop closures of a graph to believe.
+
+    Attributes
+    ----------
+    kept : ndarray of bool, (m,)
+        Which edges of the graph are kept; the trusted ones always are.
+    closures : structured ndarray, (c,)
+        A row for each edge that is not trusted: `edge` (its index), `from`, `to`, `kept`, `chi2`
+        (in the final map), `distance` (squared Mahalanobis distance from the prediction, with the
+        scaled information; NaN for kept ones), `log_ratio` (logarithm of the likelihood ratio
+        against a false closure; NaN for kept ones), `cluster` (closures of one place), `reason`.
+    cost : float
+        chi2 of the trusted edges and of the kept closures, with the scaled information, and the
+        price of the rejected ones (`masat.robust.objective`).
+    scale : float
+        The estimated factor by which the covariances of the closures exceed what their information
+        says; 1 if it seems right.
+    poses : ndarray, (n, 3) or (n, 7)
+        The map of the decision, near its minimum.
+    """
+
+    kept: Flags
+    closures: AnyArray
+    cost: float
+    scale: float
+    poses: Floats
+
+    def __repr__(self) -> str:
+        believed = int(self.closures["kept"].sum())
+        return f"Decision({believed} of {len(self.closures)} loop closures kept)"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what JSON says of a decision."""
+        rejected = self.closures[~self.closures["kept"]]
+        return {
+            "closures": len(self.closures),
+            "kept": int(self.closures["kept"].sum()),
+            "cost": self.cost,
+            "scale": self.scale,
+            "rejected": [
+                {
+                    name: row[name].item()
+                    for name in ("edge", "from", "to", "chi2", "cluster", "reason")
+                }
+                for row in rejected
+            ],
+        }
+
+
+def decide(
+    graph: PoseGraph,
+    trusted: ArrayLike | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Decision:
+    """Decide which loop closures of a graph to believe.
+
+    A map grows from the trusted edges by the closures that it predicts best (`growth.Growth`); then
+    whole clusters are added or taken out where that lowers the cost (`moves.improve`). If the
+    information of the closures seems wrong by a common factor, it is rescaled, and the decision
+    with the lower cost counts.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        The graph; its poses do not count.
+    trusted : array_like of bool, (m,), optional
+        The edges to trust. Default: odometry, the first edge of each pair of consecutive ids.
+    progress : Progress, optional
+        What reports the stages and limits the time.
+
+    Returns
+    -------
+    Decision
+
+    Raises
+    ------
+    OptimizationError
+        If no edge is trusted, or the trusted edges do not connect the graph.
+    """
+    progress = progress or Progress()
+    closures = Closures(graph, trusted)
+    _check_connected(closures)
+    best = _decided(closures, 1.0, progress)
+    scale = _scale_hypothesis(closures, best)
+    if scale != 1.0 and not progress.over:
+        progress.tell(f"trying closures with {scale:.3g} times their covariance")
+        other = _decided(Closures(_rescaled(closures, scale), closures.trusted), scale, progress)
+        best = min(best, other, key=lambda decision: decision.cost)
+    return best
+
+
+def _decided(closures: Closures, scale: float, progress: Progress) -> Decision:
+    growth = Growth(closures, progress)
+    first = growth.distance.copy()
+    try:
+        first = growth.grow()
+        growth = improve(closures, growth, progress)
+        growth.judge_rejected()
+    except KeyboardInterrupt:
+        progress.interrupt()
+    chi2 = growth.chi2
+    total = cost(closures, growth.kept, chi2)
+    # The likelihood of the kept closures also has their wider covariances.
+    total += closures.graph.dof * np.log(scale) * int(growth.kept.sum())
+    table = np.empty(len(closures), _TABLE)
+    table["edge"] = closures.edges
+    table["from"], table["to"] = closures.graph.edges[closures.edges].T
+    table["kept"] = growth.kept
+    table["chi2"] = chi2[closures.edges]
+    table["distance"] = np.where(growth.kept, np.nan, growth.distance)
+    table["log_ratio"] = np.where(growth.kept, np.nan, growth.log_ratio)
+    table["cluster"] = closures.clusters
+    table["reason"] = _reasons(closures, growth, first)
+    return Decision(
+        kept=locked(closures.kept_edges(growth.kept)),
+        closures=locked(table),
+        cost=total,
+        scale=scale,
+        poses=locked(growth.poses),
+    )
+
+
+def _reasons(closures: Closures, growth: Growth, first: Floats) -> AnyArray:
+    """Return why each closure is kept or rejected, (c,)."""
+    gate = GATE[closures.graph.dof]
+    reasons = np.full(len(closures), "kept", "U60")
+    rejected = ~growth.kept
+    within = growth.distance < gate
+    reasons[rejected] = "contradicts the trusted edges"
+    reasons[rejected & (first < gate)] = "contradicts the closures that are kept"
+    reasons[rejected & within] = "undecided: as likely false as true"
+    reasons[rejected & within & ~growth.supported] = "unsupported: no other closure agrees with it"
+    return reasons
+
+
+def _scale_hypothesis(closures: Closures, decision: Decision) -> float:
+    """Return a factor of the closures' covariances that is worth a trial, or 1."""
+    dof = closures.graph.dof
+    between = agreement(closures, decision.poses)
+    kept = decision.closures["kept"]
+    if int(kept.sum()) >= max(_MIN_COUNT, len(closures) // 2):
+        scale = float(np.median(decision.closures["chi2"][kept])) / _MEDIAN[dof]
+    elif len(between) >= _MIN_COUNT:
+        scale = float(np.quantile(between, 0.25)) / _QUARTILE[dof]
+    else:
+        return 1.0
+    return scale if scale > _MAX_SCALE_ERROR or scale < 1 / _MAX_SCALE_ERROR else 1.0
+
+
+def _rescaled(closures: Closures, scale: float) -> PoseGraph:
+    information = closures.graph.information.copy()
+    information[closures.edges] /= scale
+    return replace(closures.graph, information=information)
+
+
+def _check_connected(closures: Closures) -> None:
+    graph = closures.graph
+    trusted = graph.without_edges(~closures.trusted)
+    labels, whole = trusted.components, graph.components
+    if labels.max() == whole.max():
+        return
+    i, j = closures.ends.T
+    k = int(np.flatnonzero(labels[i] != labels[j])[0])
+    a, b = graph.ids[closures.ends[k]]
+    raise OptimizationError(
+        f"the trusted edges leave {labels.max() + 1} parts without a connection, such as those of "
+        f"nodes {a} and {b}: closures between them cannot be judged; trust an edge between them"
+    )
