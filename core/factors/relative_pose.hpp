@@ -10,9 +10,9 @@
 
 namespace masat {
 
-// A table of factors. Each kind has size(), cost(k, poses), and linearize(k, poses, weight,
-// system), where poses[node] is a pose and the system a NormalSystem. What the constructor is given
-// is not copied and must outlive the table; without information there are residuals alone.
+// A table of factors. Each kind has size(), cost(k, poses), and linearize(k, poses, loss, system),
+// where poses[node] is a pose and the system a NormalSystem. What the constructor is given is not
+// copied and must outlive the table; without information there are residuals alone.
 template <LieGroup Group>
 class RelativePoseFactors {
  public:
@@ -39,16 +39,17 @@ class RelativePoseFactors {
     return e.dot(information(k) * e);
   }
 
-  // Adds the factor, its information times the weight, to the system; returns weight e' W e.
-  template <class Poses, class System>
-  [[gnu::always_inline]] double linearize(std::int64_t k, const Poses& poses, double weight,
+  // Adds the factor to the system and returns its cost. The loss turns k and e' W e into the cost
+  // and the weight of the information.
+  template <class Poses, class Loss, class System>
+  [[gnu::always_inline]] double linearize(std::int64_t k, const Poses& poses, const Loss& loss,
                                           System& system) const {
     Square from, to;
     const Tangent e = error(measured_[k], poses[edges_[k].from], poses[edges_[k].to], from, to);
-    const Square w = weight * information(k);
-    const Tangent we = w * e;
-    system.add_edge(k, edges_[k], from, to, w, we);
-    return e.dot(we);
+    const Tangent we = information(k) * e;
+    const auto [cost, weight] = loss(k, e.dot(we));
+    system.add_edge(k, edges_[k], from, to, weight * information(k), weight * we);
+    return cost;
   }
 
  private:

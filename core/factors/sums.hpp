@@ -3,7 +3,6 @@
 
 #include <Eigen/Core>
 #include <cstdint>
-#include <span>
 
 namespace masat {
 
@@ -20,21 +19,19 @@ void costs(const Factors& factors, const Poses& poses, double* out) {
   for (std::int64_t k = 0; k < factors.size(); ++k) out[k] = factors.cost(k, poses);
 }
 
-template <class Factors, class Poses>
-double total_cost(const Factors& factors, const Poses& poses) {
+template <class Factors, class Poses, class Loss>
+double total_cost(const Factors& factors, const Poses& poses, const Loss& loss) {
   double sum = 0;
-  for (std::int64_t k = 0; k < factors.size(); ++k) sum += factors.cost(k, poses);
+  for (std::int64_t k = 0; k < factors.size(); ++k) sum += loss(k, factors.cost(k, poses)).cost;
   return sum;
 }
 
-// Adds the factors to the system; returns their total cost. Weights, one a factor or none, multiply
-// the information.
-template <class Factors, class Poses, class System>
-double linearize(const Factors& factors, const Poses& poses, std::span<const double> weights,
-                 System& system) {
+// Adds the factors to the system; returns their total cost.
+template <class Factors, class Poses, class Loss, class System>
+double linearize(const Factors& factors, const Poses& poses, const Loss& loss, System& system) {
   double sum = 0;
   for (std::int64_t k = 0; k < factors.size(); ++k) {
-    sum += factors.linearize(k, poses, weights.empty() ? 1.0 : weights[k], system);
+    sum += factors.linearize(k, poses, loss, system);
   }
   return sum;
 }

@@ -8,6 +8,7 @@
 #include <tuple>
 #include <utility>
 
+#include "factors/loss.hpp"
 #include "factors/normal_system.hpp"
 #include "factors/relative_pose.hpp"
 #include "factors/sums.hpp"
@@ -29,9 +30,11 @@ class NormalEquations {
   virtual std::span<const std::int32_t> free_nodes() const = 0;
 
   virtual double chi2(const double* poses) = 0;
-  // Sets H and the gradient's negative half at `poses`; returns chi2 there. Weights, one a factor
-  // or none, multiply the information.
-  virtual double linearize(const double* poses, std::span<const double> weights) = 0;
+  // Sets H and the gradient's negative half at `poses`; returns chi2 there.
+  virtual double linearize(const double* poses, const EdgeWeights& weights) = 0;
+  // The same of a robust cost.
+  virtual double cost(const double* poses, const EdgeLosses& losses) = 0;
+  virtual double linearize(const double* poses, const EdgeLosses& losses) = 0;
   virtual std::span<const double> rhs() const = 0;
   virtual void diagonal(double* out) const = 0;
   virtual void multiply(const double* v, double* out) const = 0;  // H v
@@ -72,23 +75,15 @@ class NormalEquationsOf : public NormalEquations {
   std::span<const std::int32_t> free_nodes() const override { return elimination().free_nodes(); }
   std::span<const double> rhs() const override { return system_.rhs(); }
 
-  double chi2(const double* poses) override {
-    poses_.assign(poses, nodes());
-    return std::apply([&](const auto&... table) { return (total_cost(table, poses_) + ...); },
-                      tables_);
+  double chi2(const double* poses) override { return sum_of(poses, EdgeWeights()); }
+  double linearize(const double* poses, const EdgeWeights& weights) override {
+    return add_up(poses, weights);
   }
-
-  double linearize(const double* poses, std::span<const double> weights) override {
-    poses_.assign(poses, nodes());
-    system_.set_zero();
-    double sum = 0;
-    const auto add = [&](const auto& table) {
-      const std::size_t count = weights.empty() ? 0 : table.size();
-      sum += masat::linearize(table, poses_, weights.first(count), system_);
-      weights = weights.subspan(count);
-    };
-    std::apply([&](const auto&... table) { (add(table), ...); }, tables_);
-    return sum;
+  double cost(const double* poses, const EdgeLosses& losses) override {
+    return sum_of(poses, losses);
+  }
+  double linearize(const double* poses, const EdgeLosses& losses) override {
+    return add_up(poses, losses);
   }
 
   void diagonal(double* out) const override { matrix_.diagonal(out); }
@@ -122,6 +117,39 @@ class NormalEquationsOf : public NormalEquations {
 
  private:
   const Elimination& elimination() const { return *matrix_.elimination(); }
+
+  template <class Loss>
+  double sum_of(const double* poses, const Loss& loss) {
+    poses_.assign(poses, nodes());
+    return each_table([&](const auto& table,
+                          const auto& of_table) { return total_cost(table, poses_, of_table); },
+                      loss);
+  }
+
+  template <class Loss>
+  double add_up(const double* poses, const Loss& loss) {
+    poses_.assign(poses, nodes());
+    system_.set_zero();
+    return each_table(
+        [&](const auto& table, const auto& of_table) {
+          return masat::linearize(table, poses_, of_table, system_);
+        },
+        loss);
+  }
+
+  // The sum of f(table, loss) over the tables; the loss counts the factors of all of them.
+  template <class F, class Loss>
+  double each_table(const F& f, const Loss& loss) const {
+    double sum = 0;
+    std::int64_t first = 0;
+    const auto add = [&](const auto& table) {
+      sum +=
+          f(table, [&loss, first](std::int64_t k, double chi2) { return loss(first + k, chi2); });
+      first += table.size();
+    };
+    std::apply([&](const auto&... table) { (add(table), ...); }, tables_);
+    return sum;
+  }
 
   // The kinds of factors. Another kind is one more entry.
   std::tuple<RelativePoseFactors<Group>> tables_;
