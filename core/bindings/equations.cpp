@@ -138,7 +138,7 @@ void bind_equations(nb::module_& m) {
           [](NormalEquations& e, const Table<double>& poses) {
             const double* const p = check_poses(e, poses);
             nb::gil_scoped_release release;
-            return e.chi2(p);
+            return e.cost(p, EdgeLosses());
           },
           "poses"_a)
       .def(
@@ -152,7 +152,7 @@ void bind_equations(nb::module_& m) {
               require(w.size() == static_cast<std::size_t>(e.factors()), "one weight an edge");
             }
             nb::gil_scoped_release release;
-            return e.linearize(p, EdgeWeights(w));
+            return e.linearize(p, EdgeLosses(w));
           },
           "poses"_a, "weights"_a = nb::none())
       .def(

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <optional>
 #include <span>
 
 namespace masat {
@@ -22,13 +23,10 @@ class Loss {
  public:
   // `mu` matters to kTruncated alone: 0 is the convex limit, infinity the truncated chi2 itself.
   Loss(LossKind kind, double scale, double mu = std::numeric_limits<double>::infinity())
-      : kind_(kind),
-        squared_(scale * scale),
-        mu_(mu),
-        // mu / (mu + 1), and its square root.
-        full_(std::isinf(mu) ? 1 : mu / (mu + 1)) {}
+      : kind_(kind), squared_(scale * scale), mu_(mu), full_(std::isinf(mu) ? 1 : mu / (mu + 1)) {}
 
-  LossValue operator()(double chi2) const {
+  // Not inlined: the loop over the edges of plain least squares stays small.
+  [[gnu::noinline]] LossValue operator()(double chi2) const {
     const double u = chi2 / squared_;
     switch (kind_) {
       case LossKind::kCauchy:
@@ -65,37 +63,41 @@ class Loss {
  private:
   LossKind kind_;
   double squared_, mu_;
-  double full_;  // the largest chi2 / scale^2 that kTruncated leaves its full weight
+  double full_;  // the largest chi2 / scale^2 to which kTruncated gives the weight 1
 };
 
-// The losses of all edges: one for those that are not trusted, chi2 itself for the others.
+// The losses of all edges of a table. One type serves all of them: a second instance of the loop
+// over the edges makes the compiler inline less of both, which costs half of their speed.
 class EdgeLosses {
  public:
-  // Without a mask none is trusted. The mask must outlive the losses.
+  // chi2 itself.
+  EdgeLosses() = default;
+  // chi2 times the weight of the edge.
+  explicit EdgeLosses(std::span<const double> weights) : weights_(weights) {}
+  // The loss, but chi2 itself where an edge is trusted; without a mask none is.
   EdgeLosses(const Loss& loss, std::span<const bool> trusted) : loss_(loss), trusted_(trusted) {}
 
-  LossValue operator()(std::int64_t edge, double chi2) const {
-    if (!trusted_.empty() && trusted_[edge]) return {chi2, 1};
-    return loss_(chi2);
+  // Whether the loss applies to the edge. If not, its cost is its weight times chi2.
+  bool robust(std::int64_t edge) const { return loss_ && (trusted_.empty() || !trusted_[edge]); }
+  const Loss& loss() const { return *loss_; }
+  double weight(std::int64_t edge) const { return weights_.empty() ? 1.0 : weights_[edge]; }
+
+  double cost(std::int64_t edge, double chi2) const {
+    return robust(edge) ? loss()(chi2).cost : weight(edge) * chi2;
+  }
+
+  // Those of the edges from one on.
+  EdgeLosses from(std::int64_t edge) const {
+    EdgeLosses rest = *this;
+    if (!weights_.empty()) rest.weights_ = weights_.subspan(edge);
+    if (!trusted_.empty()) rest.trusted_ = trusted_.subspan(edge);
+    return rest;
   }
 
  private:
-  Loss loss_;
+  std::optional<Loss> loss_;
+  std::span<const double> weights_;  // what the spans show must outlive the losses
   std::span<const bool> trusted_;
-};
-
-// Factors of the edges' information, one an edge; without any, 1.
-class EdgeWeights {
- public:
-  explicit EdgeWeights(std::span<const double> weights = {}) : weights_(weights) {}
-
-  LossValue operator()(std::int64_t edge, double chi2) const {
-    const double w = weights_.empty() ? 1.0 : weights_[edge];
-    return {w * chi2, w};
-  }
-
- private:
-  std::span<const double> weights_;
 };
 
 }  // namespace masat

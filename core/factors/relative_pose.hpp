@@ -5,14 +5,15 @@
 #include <cstdint>
 #include <span>
 
+#include "factors/loss.hpp"
 #include "graph/topology.hpp"
 #include "lie/group.hpp"
 
 namespace masat {
 
-// A table of factors. Each kind has size(), cost(k, poses), and linearize(k, poses, loss, system),
-// where poses[node] is a pose and the system a NormalSystem. What the constructor is given is not
-// copied and must outlive the table; without information there are residuals alone.
+// A table of factors. Each kind has size(), cost(k, poses), and linearize(k, poses, losses,
+// system), where poses[node] is a pose and the system a NormalSystem. What the constructor is given
+// is not copied and must outlive the table; without information there are residuals alone.
 template <LieGroup Group>
 class RelativePoseFactors {
  public:
@@ -39,17 +40,19 @@ class RelativePoseFactors {
     return e.dot(information(k) * e);
   }
 
-  // Adds the factor to the system and returns its cost. The loss turns k and e' W e into the cost
-  // and the weight of the information.
-  template <class Poses, class Loss, class System>
-  [[gnu::always_inline]] double linearize(std::int64_t k, const Poses& poses, const Loss& loss,
-                                          System& system) const {
+  // Adds the factor to the system and returns its cost.
+  template <class Poses, class System>
+  [[gnu::always_inline]] double linearize(std::int64_t k, const Poses& poses,
+                                          const EdgeLosses& losses, System& system) const {
     Square from, to;
     const Tangent e = error(measured_[k], poses[edges_[k].from], poses[edges_[k].to], from, to);
-    const Tangent we = information(k) * e;
-    const auto [cost, weight] = loss(k, e.dot(we));
-    system.add_edge(k, edges_[k], from, to, weight * information(k), weight * we);
-    return cost;
+    const bool robust = losses.robust(k);
+    LossValue value{0, losses.weight(k)};
+    if (robust) value = losses.loss()(e.dot(information(k) * e));
+    const Square w = value.weight * information(k);
+    const Tangent we = w * e;
+    system.add_edge(k, edges_[k], from, to, w, we);
+    return robust ? value.cost : e.dot(we);
   }
 
  private:

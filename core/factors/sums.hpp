@@ -4,6 +4,8 @@
 #include <Eigen/Core>
 #include <cstdint>
 
+#include "factors/loss.hpp"
+
 namespace masat {
 
 template <class Factors, class Poses>
@@ -19,19 +21,20 @@ void costs(const Factors& factors, const Poses& poses, double* out) {
   for (std::int64_t k = 0; k < factors.size(); ++k) out[k] = factors.cost(k, poses);
 }
 
-template <class Factors, class Poses, class Loss>
-double total_cost(const Factors& factors, const Poses& poses, const Loss& loss) {
+template <class Factors, class Poses>
+double total_cost(const Factors& factors, const Poses& poses, const EdgeLosses& losses) {
   double sum = 0;
-  for (std::int64_t k = 0; k < factors.size(); ++k) sum += loss(k, factors.cost(k, poses)).cost;
+  for (std::int64_t k = 0; k < factors.size(); ++k) sum += losses.cost(k, factors.cost(k, poses));
   return sum;
 }
 
 // Adds the factors to the system; returns their total cost.
-template <class Factors, class Poses, class Loss, class System>
-double linearize(const Factors& factors, const Poses& poses, const Loss& loss, System& system) {
+template <class Factors, class Poses, class System>
+double linearize(const Factors& factors, const Poses& poses, const EdgeLosses& losses,
+                 System& system) {
   double sum = 0;
   for (std::int64_t k = 0; k < factors.size(); ++k) {
-    sum += factors.linearize(k, poses, loss, system);
+    sum += factors.linearize(k, poses, losses, system);
   }
   return sum;
 }

@@ -29,11 +29,9 @@ class NormalEquations {
   virtual std::int64_t factors() const = 0;
   virtual std::span<const std::int32_t> free_nodes() const = 0;
 
-  virtual double chi2(const double* poses) = 0;
-  // Sets H and the gradient's negative half at `poses`; returns chi2 there.
-  virtual double linearize(const double* poses, const EdgeWeights& weights) = 0;
-  // The same of a robust cost.
+  // The sum of the losses of e' W e.
   virtual double cost(const double* poses, const EdgeLosses& losses) = 0;
+  // Sets H and the gradient's negative half at `poses`; returns the cost there.
   virtual double linearize(const double* poses, const EdgeLosses& losses) = 0;
   virtual std::span<const double> rhs() const = 0;
   virtual void diagonal(double* out) const = 0;
@@ -75,15 +73,19 @@ class NormalEquationsOf : public NormalEquations {
   std::span<const std::int32_t> free_nodes() const override { return elimination().free_nodes(); }
   std::span<const double> rhs() const override { return system_.rhs(); }
 
-  double chi2(const double* poses) override { return sum_of(poses, EdgeWeights()); }
-  double linearize(const double* poses, const EdgeWeights& weights) override {
-    return add_up(poses, weights);
-  }
   double cost(const double* poses, const EdgeLosses& losses) override {
-    return sum_of(poses, losses);
+    poses_.assign(poses, nodes());
+    return each_table(losses, [&](const auto& table, const EdgeLosses& of_table) {
+      return total_cost(table, poses_, of_table);
+    });
   }
+
   double linearize(const double* poses, const EdgeLosses& losses) override {
-    return add_up(poses, losses);
+    poses_.assign(poses, nodes());
+    system_.set_zero();
+    return each_table(losses, [&](const auto& table, const EdgeLosses& of_table) {
+      return masat::linearize(table, poses_, of_table, system_);
+    });
   }
 
   void diagonal(double* out) const override { matrix_.diagonal(out); }
@@ -118,33 +120,13 @@ class NormalEquationsOf : public NormalEquations {
  private:
   const Elimination& elimination() const { return *matrix_.elimination(); }
 
-  template <class Loss>
-  double sum_of(const double* poses, const Loss& loss) {
-    poses_.assign(poses, nodes());
-    return each_table([&](const auto& table,
-                          const auto& of_table) { return total_cost(table, poses_, of_table); },
-                      loss);
-  }
-
-  template <class Loss>
-  double add_up(const double* poses, const Loss& loss) {
-    poses_.assign(poses, nodes());
-    system_.set_zero();
-    return each_table(
-        [&](const auto& table, const auto& of_table) {
-          return masat::linearize(table, poses_, of_table, system_);
-        },
-        loss);
-  }
-
-  // The sum of f(table, loss) over the tables; the loss counts the factors of all of them.
-  template <class F, class Loss>
-  double each_table(const F& f, const Loss& loss) const {
+  // The sum of f(table, its losses) over the tables; the losses are those of all of them, in order.
+  template <class F>
+  double each_table(const EdgeLosses& losses, const F& f) const {
     double sum = 0;
     std::int64_t first = 0;
     const auto add = [&](const auto& table) {
-      sum +=
-          f(table, [&loss, first](std::int64_t k, double chi2) { return loss(first + k, chi2); });
+      sum += f(table, losses.from(first));
       first += table.size();
     };
     std::apply([&](const auto&... table) { (add(table), ...); }, tables_);

@@ -46,7 +46,7 @@ std::int32_t solve_translations(const Topology& graph, GraphMatrix& matrix,
   const typename Group::Table pose(poses, graph.nodes());
   TranslationSystem<Group> system(matrix);
   linearize(RelativePoseFactors<Group>(graph.edges(), measurements, information), pose,
-            EdgeWeights(), system);
+            EdgeLosses(), system);
   std::vector<double> step = std::move(system).take_rhs();
   const std::vector<double> undamped(step.size());
   const std::span<const std::int32_t> free = matrix.elimination()->free_nodes();
