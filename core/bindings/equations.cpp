@@ -6,6 +6,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <span>
@@ -14,6 +15,7 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
+#include "factors/loss.hpp"
 #include "graph/topology.hpp"
 #include "optimizers/normal_equations.hpp"
 
@@ -91,9 +93,43 @@ Array<double> moved(const NormalEquations& equations, const Table<double>& poses
   return as_array(std::move(out), {poses.shape(0), poses.shape(1)});
 }
 
+std::span<const bool> mask_of(const NormalEquations& equations,
+                              const std::optional<Vector<bool>>& trusted) {
+  if (!trusted) return {};
+  require(trusted->shape(0) == static_cast<std::size_t>(equations.factors()), "one flag an edge");
+  return span_of(*trusted);
+}
+
+nb::tuple values_of(const Loss& loss, const Vector<double>& chi2) {
+  std::vector<double> costs, weights;
+  costs.reserve(chi2.size());
+  weights.reserve(chi2.size());
+  for (const double c : span_of(chi2)) {
+    const LossValue value = loss(c);
+    costs.push_back(value.cost);
+    weights.push_back(value.weight);
+  }
+  return nb::make_tuple(as_array(std::move(costs)), as_array(std::move(weights)));
+}
+
+void bind_losses(nb::module_& m) {
+  nb::enum_<LossKind>(m, "LossKind")
+      .value("CAUCHY", LossKind::kCauchy)
+      .value("GEMAN_MCCLURE", LossKind::kGemanMcClure)
+      .value("HUBER", LossKind::kHuber)
+      .value("TUKEY", LossKind::kTukey)
+      .value("DCS", LossKind::kDcs)
+      .value("TRUNCATED", LossKind::kTruncated);
+  nb::class_<Loss>(m, "Loss")
+      .def(nb::init<LossKind, double, double>(), "kind"_a, "scale"_a,
+           "mu"_a = std::numeric_limits<double>::infinity())
+      .def("__call__", &values_of, "chi2"_a);
+}
+
 }  // namespace
 
 void bind_equations(nb::module_& m) {
+  bind_losses(m);
   nb::class_<NormalEquations>(m, "NormalEquations")
       .def(nb::new_(&make_equations), "topology"_a, "elimination"_a, "measurements"_a,
            "information"_a, "threads"_a = 1)
@@ -102,7 +138,7 @@ void bind_equations(nb::module_& m) {
           [](NormalEquations& e, const Table<double>& poses) {
             const double* const p = check_poses(e, poses);
             nb::gil_scoped_release release;
-            return e.chi2(p);
+            return e.cost(p, EdgeLosses());
           },
           "poses"_a)
       .def(
@@ -116,9 +152,29 @@ void bind_equations(nb::module_& m) {
               require(w.size() == static_cast<std::size_t>(e.factors()), "one weight an edge");
             }
             nb::gil_scoped_release release;
-            return e.linearize(p, w);
+            return e.linearize(p, EdgeLosses(w));
           },
           "poses"_a, "weights"_a = nb::none())
+      .def(
+          "robust_cost",
+          [](NormalEquations& e, const Table<double>& poses, const Loss& loss,
+             const std::optional<Vector<bool>>& trusted) {
+            const double* const p = check_poses(e, poses);
+            const EdgeLosses losses(loss, mask_of(e, trusted));
+            nb::gil_scoped_release release;
+            return e.cost(p, losses);
+          },
+          "poses"_a, "loss"_a, "trusted"_a = nb::none())
+      .def(
+          "linearize_robust",
+          [](NormalEquations& e, const Table<double>& poses, const Loss& loss,
+             const std::optional<Vector<bool>>& trusted) {
+            const double* const p = check_poses(e, poses);
+            const EdgeLosses losses(loss, mask_of(e, trusted));
+            nb::gil_scoped_release release;
+            return e.linearize(p, losses);
+          },
+          "poses"_a, "loss"_a, "trusted"_a = nb::none())
       .def("rhs",
            [](const NormalEquations& e) {
              return as_array(std::vector<double>(e.rhs().begin(), e.rhs().end()));

@@ -5,12 +5,13 @@
 #include <cstdint>
 #include <span>
 
+#include "factors/loss.hpp"
 #include "graph/topology.hpp"
 #include "lie/group.hpp"
 
 namespace masat {
 
-// A table of factors. Each kind has size(), cost(k, poses), and linearize(k, poses, weight,
+// A table of factors. Each kind has size(), cost(k, poses), and linearize(k, poses, losses,
 // system), where poses[node] is a pose and the system a NormalSystem. What the constructor is given
 // is not copied and must outlive the table; without information there are residuals alone.
 template <LieGroup Group>
@@ -39,16 +40,19 @@ class RelativePoseFactors {
     return e.dot(information(k) * e);
   }
 
-  // Adds the factor, its information times the weight, to the system; returns weight e' W e.
+  // Adds the factor to the system and returns its cost.
   template <class Poses, class System>
-  [[gnu::always_inline]] double linearize(std::int64_t k, const Poses& poses, double weight,
-                                          System& system) const {
+  [[gnu::always_inline]] double linearize(std::int64_t k, const Poses& poses,
+                                          const EdgeLosses& losses, System& system) const {
     Square from, to;
     const Tangent e = error(measured_[k], poses[edges_[k].from], poses[edges_[k].to], from, to);
-    const Square w = weight * information(k);
+    const bool robust = losses.robust(k);
+    LossValue value{0, losses.weight(k)};
+    if (robust) value = losses.loss()(e.dot(information(k) * e));
+    const Square w = value.weight * information(k);
     const Tangent we = w * e;
     system.add_edge(k, edges_[k], from, to, w, we);
-    return e.dot(we);
+    return robust ? value.cost : e.dot(we);
   }
 
  private:

@@ -3,7 +3,8 @@
 
 #include <Eigen/Core>
 #include <cstdint>
-#include <span>
+
+#include "factors/loss.hpp"
 
 namespace masat {
 
@@ -21,20 +22,19 @@ void costs(const Factors& factors, const Poses& poses, double* out) {
 }
 
 template <class Factors, class Poses>
-double total_cost(const Factors& factors, const Poses& poses) {
+double total_cost(const Factors& factors, const Poses& poses, const EdgeLosses& losses) {
   double sum = 0;
-  for (std::int64_t k = 0; k < factors.size(); ++k) sum += factors.cost(k, poses);
+  for (std::int64_t k = 0; k < factors.size(); ++k) sum += losses.cost(k, factors.cost(k, poses));
   return sum;
 }
 
-// Adds the factors to the system; returns their total cost. Weights, one a factor or none, multiply
-// the information.
+// Adds the factors to the system; returns their total cost.
 template <class Factors, class Poses, class System>
-double linearize(const Factors& factors, const Poses& poses, std::span<const double> weights,
+double linearize(const Factors& factors, const Poses& poses, const EdgeLosses& losses,
                  System& system) {
   double sum = 0;
   for (std::int64_t k = 0; k < factors.size(); ++k) {
-    sum += factors.linearize(k, poses, weights.empty() ? 1.0 : weights[k], system);
+    sum += factors.linearize(k, poses, losses, system);
   }
   return sum;
 }

@@ -8,6 +8,7 @@
 #include <tuple>
 #include <utility>
 
+#include "factors/loss.hpp"
 #include "factors/normal_system.hpp"
 #include "factors/relative_pose.hpp"
 #include "factors/sums.hpp"
@@ -28,10 +29,10 @@ class NormalEquations {
   virtual std::int64_t factors() const = 0;
   virtual std::span<const std::int32_t> free_nodes() const = 0;
 
-  virtual double chi2(const double* poses) = 0;
-  // Sets H and the gradient's negative half at `poses`; returns chi2 there. Weights, one a factor
-  // or none, multiply the information.
-  virtual double linearize(const double* poses, std::span<const double> weights) = 0;
+  // The sum of the losses of e' W e.
+  virtual double cost(const double* poses, const EdgeLosses& losses) = 0;
+  // Sets H and the gradient's negative half at `poses`; returns the cost there.
+  virtual double linearize(const double* poses, const EdgeLosses& losses) = 0;
   virtual std::span<const double> rhs() const = 0;
   virtual void diagonal(double* out) const = 0;
   virtual void multiply(const double* v, double* out) const = 0;  // H v
@@ -72,23 +73,19 @@ class NormalEquationsOf : public NormalEquations {
   std::span<const std::int32_t> free_nodes() const override { return elimination().free_nodes(); }
   std::span<const double> rhs() const override { return system_.rhs(); }
 
-  double chi2(const double* poses) override {
+  double cost(const double* poses, const EdgeLosses& losses) override {
     poses_.assign(poses, nodes());
-    return std::apply([&](const auto&... table) { return (total_cost(table, poses_) + ...); },
-                      tables_);
+    return each_table(losses, [&](const auto& table, const EdgeLosses& of_table) {
+      return total_cost(table, poses_, of_table);
+    });
   }
 
-  double linearize(const double* poses, std::span<const double> weights) override {
+  double linearize(const double* poses, const EdgeLosses& losses) override {
     poses_.assign(poses, nodes());
     system_.set_zero();
-    double sum = 0;
-    const auto add = [&](const auto& table) {
-      const std::size_t count = weights.empty() ? 0 : table.size();
-      sum += masat::linearize(table, poses_, weights.first(count), system_);
-      weights = weights.subspan(count);
-    };
-    std::apply([&](const auto&... table) { (add(table), ...); }, tables_);
-    return sum;
+    return each_table(losses, [&](const auto& table, const EdgeLosses& of_table) {
+      return masat::linearize(table, poses_, of_table, system_);
+    });
   }
 
   void diagonal(double* out) const override { matrix_.diagonal(out); }
@@ -122,6 +119,19 @@ class NormalEquationsOf : public NormalEquations {
 
  private:
   const Elimination& elimination() const { return *matrix_.elimination(); }
+
+  // The sum of f(table, its losses) over the tables; the losses are those of all of them, in order.
+  template <class F>
+  double each_table(const EdgeLosses& losses, const F& f) const {
+    double sum = 0;
+    std::int64_t first = 0;
+    const auto add = [&](const auto& table) {
+      sum += f(table, losses.from(first));
+      first += table.size();
+    };
+    std::apply([&](const auto&... table) { (add(table), ...); }, tables_);
+    return sum;
+  }
 
   // The kinds of factors. Another kind is one more entry.
   std::tuple<RelativePoseFactors<Group>> tables_;

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "factors/loss.hpp"
 #include "factors/normal_system.hpp"
 #include "factors/relative_pose.hpp"
 #include "factors/sums.hpp"
@@ -44,7 +45,8 @@ std::int32_t solve_translations(const Topology& graph, GraphMatrix& matrix,
                                 double* poses) {
   const typename Group::Table pose(poses, graph.nodes());
   TranslationSystem<Group> system(matrix);
-  linearize(RelativePoseFactors<Group>(graph.edges(), measurements, information), pose, {}, system);
+  linearize(RelativePoseFactors<Group>(graph.edges(), measurements, information), pose,
+            EdgeLosses(), system);
   std::vector<double> step = std::move(system).take_rhs();
   const std::vector<double> undamped(step.size());
   const std::span<const std::int32_t> free = matrix.elimination()->free_nodes();

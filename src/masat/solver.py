@@ -6,12 +6,14 @@ import warnings
 from dataclasses import replace
 from time import perf_counter
 
-from masat.errors import MasatWarning
+from masat.arrays import Flags
+from masat.errors import MasatWarning, OptimizationError
 from masat.graph import PoseGraph
 from masat.initializers import guess_of
 from masat.optimality.certificate import certify as certified
 from masat.optimizers import Result, optimize
 from masat.optimizers.equations import normal_equations
+from masat.optimizers.losses import EdgeLoss, Loss
 from masat.optimizers.termination import Report
 from masat.progress import Progress, ReportStage
 
@@ -23,6 +25,9 @@ def solve(
     optimizer: str = "levenberg_marquardt",
     root: int | None = None,
     certify: bool = False,
+    loss: str | Loss | EdgeLoss | None = None,
+    scale: float | None = None,
+    trusted: Flags | None = None,
     max_iterations: int = 100,
     relative_tolerance: float = 1e-9,
     threads: int | None = None,
@@ -51,6 +56,10 @@ def solve(
     certify : bool
         Whether to prove that chi2 is the lowest of all poses (`masat.certify`): one more
         factorization in most cases. No further search is made where there is no proof.
+    loss, scale, trusted
+        Loss of the edges in the optimization that follows the initial guess, as in
+        `masat.optimize`. The initial guess does not know it: "auto" searches for the minimum of
+        chi2, wrong edges included, so "odometry" or "cauchy" may be better. Default: chi2.
     max_iterations : int
         Limit of the optimizer's iterations.
     relative_tolerance : float
@@ -76,7 +85,8 @@ def solve(
     Raises
     ------
     InitializationError, OptimizationError
-        If the initial guess or the optimizer is unknown or cannot do what is asked.
+        If the initial guess, the optimizer or the loss is unknown or cannot do what is asked; or if
+        a certificate is wanted of a robust cost, for which there is none.
     GraphError
         If the root is not in the graph, or is not fixed in a component that has fixed nodes.
 
@@ -90,6 +100,10 @@ def solve(
     >>> result.converged, result.certificate.certified
     (True, True)
     """
+    if certify and loss is not None:
+        raise OptimizationError(
+            "there is no certificate for a robust cost: leave out loss, or certify=True (--certify)"
+        )
     progress = Progress(budget, report_stage, catch_interrupts=True)
     start = perf_counter()
     rooted = graph if root is None else graph.with_root(root)
@@ -102,6 +116,9 @@ def solve(
     result = optimize(
         guess,
         optimizer,
+        loss=loss,
+        scale=scale,
+        trusted=trusted,
         max_iterations=max_iterations,
         relative_tolerance=relative_tolerance,
         report=report,

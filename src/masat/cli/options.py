@@ -14,6 +14,7 @@ from masat.formats import FORMATS, read
 from masat.formats.text import MAX_BYTES
 from masat.graph import PoseGraph
 from masat.initializers import INITIALIZERS
+from masat.optimizers import LOSSES
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -113,6 +114,23 @@ def search(command: F) -> F:
         default=0,
         show_default=True,
         help="Seed of the random numbers of the search.",
+    )(command)
+
+
+def robust_loss(command: F) -> F:
+    """Add --loss and --loss-scale."""
+    command = click.option(
+        "--loss-scale",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="SIGMAS",
+        help="Scale of the loss: an edge is doubtful beyond chi2 = SIGMAS^2.  "
+        "[default: 3.37 in 2D, 4.1 in 3D]",
+    )(command)
+    return click.option(
+        "--loss",
+        type=click.Choice(list(LOSSES)),
+        help="Minimize a robust cost, in which wrong edges have little weight; docs/robust.md "
+        "compares the losses.  [default: chi2]",
     )(command)
 
 

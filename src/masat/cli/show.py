@@ -57,6 +57,18 @@ def status(certificate: Certificate) -> str:
     return click.style(certificate.status, fg=_COLORS[certificate.status])
 
 
+def weight_counts(result: Result) -> dict[str, int] | None:
+    """Return how many edges a loss believed, doubted and ignored; None without a loss."""
+    if result.weights is None:
+        return None
+    w = result.weights
+    return {
+        "at_least_half": int((w >= 0.5).sum()),
+        "less": int(((w > 0) & (w < 0.5)).sum()),
+        "zero": int((w == 0).sum()),
+    }
+
+
 def summary(result: Result) -> dict[str, Any]:
     """Return what JSON says of a result."""
     return {
@@ -69,6 +81,9 @@ def summary(result: Result) -> dict[str, Any]:
         "chi2": result.chi2,
         "degrees_of_freedom": result.degrees_of_freedom,
         "reduced_chi2": result.reduced_chi2,
+        "loss": result.loss,
+        "robust_cost": result.robust_cost,
+        "weights": weight_counts(result),
         "gauge": result.gauge.tolist(),
         "seconds": result.seconds,
         "history": [iteration._asdict() for iteration in result.history],

@@ -34,8 +34,10 @@ from masat.solver import solve as solved
 @click.option(
     "--certify/--no-certify",
     default=None,
-    help="Whether to prove that the map is the global optimum.  [default: unless --quiet]",
+    help="Whether to prove that the map is the global optimum.  "
+    "[default: unless --quiet or --loss]",
 )
+@options.robust_loss
 @options.optimizer
 @options.output
 @click.pass_context
@@ -52,6 +54,8 @@ def solve(
     seed: int,
     budget: float | None,
     certify: bool | None,
+    loss: str | None,
+    loss_scale: float | None,
     optimizer: str,
     max_iterations: int,
     tolerance: float,
@@ -70,6 +74,8 @@ def solve(
     options.check_picture(picture)
     if out is not None:
         format_of(out)
+    if certify is None:
+        certify = loss is None and (as_json or not quiet)
     begin = perf_counter()
     graph = options.load(file, file_format, indefinite, quiet)
     read_seconds = perf_counter() - begin
@@ -81,7 +87,9 @@ def solve(
             init=init,
             optimizer=optimizer,
             root=root,
-            certify=(as_json or not quiet) if certify is None else certify,
+            certify=certify,
+            loss=loss,
+            scale=loss_scale,
             max_iterations=max_iterations,
             relative_tolerance=tolerance,
             threads=threads,
@@ -135,6 +143,7 @@ def _print(result: Result, times: dict[str, float], written: list[Path]) -> None
                 "result",
                 f"chi2 {result.chi2:.6g} in {result.iterations} iterations of {result.method}",
             ),
+            *_robust(result),
             ("stopped", result.message),
             ("optimum", _optimum(result.certificate)),
             ("reduced chi2", _quality(result.reduced_chi2)),
@@ -143,6 +152,14 @@ def _print(result: Result, times: dict[str, float], written: list[Path]) -> None
             ("written", ", ".join(map(str, written)) or "nothing: name a file with -o"),
         ]
     )
+
+
+def _robust(result: Result) -> list[tuple[str, str]]:
+    counts = show.weight_counts(result)
+    if counts is None:
+        return []
+    said = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
+    return [("robust cost", f"{result.robust_cost:.6g} with {result.loss}; weights: {said}")]
 
 
 def _optimum(certificate: Certificate | None) -> str:

@@ -9,7 +9,8 @@ from masat.graph import PoseGraph
 from masat.initializers.odometry import odometry
 from masat.optimizers.equations import normal_equations, rounding_level
 from masat.optimizers.levenberg_marquardt import levenberg_marquardt
-from masat.optimizers.robust import Cauchy
+from masat.optimizers.losses import robust_cost
+from masat.optimizers.reweighting import robust_equations
 from masat.optimizers.termination import Termination
 
 _TOLERANCE = 1e-4
@@ -60,7 +61,8 @@ def cauchy(graph: PoseGraph, *, scale: float = 1.0, iterations: int = 50) -> Pos
     assert guess.poses is not None
     poses = guess.poses
     if len(guess.elimination.free_nodes()):
-        equations = Cauchy(guess, normal_equations(guess), scale)
+        cost = robust_cost(guess, "cauchy", scale)
+        equations = robust_equations(guess, normal_equations(guess), cost)
         termination = Termination(iterations, _TOLERANCE, 0.0, 0.0, rounding_level(guess))
         poses = levenberg_marquardt(equations, poses, termination, lambda _: None).poses
     return guess.with_poses(poses, notes=[])

@@ -31,7 +31,7 @@ class Result:
     Attributes
     ----------
     graph : PoseGraph
-        The graph at the poses of the lowest chi2 of all iterations.
+        The graph at the poses of the lowest chi2, or robust cost, of all iterations.
     method : str
         The optimizer.
     reason : StopReason
@@ -41,7 +41,8 @@ class Result:
     initial_chi2, chi2 : float
         Sum over the edges of e' W e, without a factor 1/2, at the initial guess and at `poses`.
     history : tuple of Iteration
-        chi2, step length, damping and time of each iteration.
+        chi2 (with a loss, the robust cost that was minimized), step length, damping and time of
+        each iteration.
     gauge : ndarray of int64
         Ids of the nodes that were not optimized: the fixed ones, and one gauge-fixed node of each
         component without any.
@@ -53,6 +54,13 @@ class Result:
         Wall time of the initial guess.
     certificate : Certificate or None
         Whether the poses are the global optimum, if `masat.solve` was asked to certify them.
+    loss : str or None
+        Name of the loss; None if chi2 was minimized.
+    robust_cost : float or None
+        With a loss, the minimized cost: the sum of rho(e' W e) over the edges, and of e' W e itself
+        over the trusted ones.
+    weights : ndarray, (m,), or None
+        With a loss, the weight of each edge at `poses`, from 0 for an edge that was ignored to 1.
     """
 
     graph: PoseGraph
@@ -67,9 +75,14 @@ class Result:
     init: str | None = None
     init_seconds: float = 0.0
     certificate: Certificate | None = None
+    loss: str | None = None
+    robust_cost: float | None = None
+    weights: Floats | None = None
 
     def __post_init__(self) -> None:
         self.__dict__["gauge"] = locked(self.gauge)
+        if self.weights is not None:
+            self.__dict__["weights"] = locked(self.weights)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -133,9 +146,11 @@ class Result:
             "init": self.init,
             "init_seconds": self.init_seconds,
             "certificate": self.certificate and self.certificate.to_dict(),
+            "loss": self.loss,
+            "robust_cost": self.robust_cost,
             "notes": graph.notes,
         }
-        labels: dict[str, Any] = {} if graph.labels is None else {"labels": graph.labels}
+        optional: dict[str, Any] = {"labels": graph.labels, "weights": self.weights}
         buffer = io.BytesIO()
         np.savez_compressed(
             buffer,
@@ -148,7 +163,7 @@ class Result:
             fixed=graph.fixed,
             history=np.array(self.history, np.float64).reshape(-1, len(Iteration._fields)),
             gauge=self.gauge,
-            **labels,
+            **{name: array for name, array in optional.items() if array is not None},
         )
         write_atomically(Path(path), buffer.getvalue())
 
@@ -190,6 +205,9 @@ class Result:
                     init=about["init"],
                     init_seconds=about["init_seconds"],
                     certificate=_certificate(about["certificate"]),
+                    loss=about.get("loss"),
+                    robust_cost=about.get("robust_cost"),
+                    weights=arrays.get("weights"),
                 )
         except FormatError:
             raise

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from masat.arrays import Floats
+from masat.arrays import Flags, Floats
 from masat.graph import PoseGraph
 from masat.optimizers.equations import Equations
 from masat.optimizers.termination import Outcome, Report, StopReason, Termination
@@ -34,6 +34,7 @@ def away_from_half_turns(
     termination: Termination,
     report: Report,
     iterations: int,
+    edges: Flags | slice = slice(None),
 ) -> Outcome:
     """Return a lower outcome if an optimizer stopped where residuals are half a turn.
 
@@ -56,6 +57,8 @@ def away_from_half_turns(
         Called after each iteration.
     iterations : int
         How many there were.
+    edges : ndarray of bool, (m,), or slice
+        The edges to look at. Default: all.
 
     Returns
     -------
@@ -70,7 +73,7 @@ def away_from_half_turns(
 
     rng = np.random.default_rng(0)
     for _ in range(_MAX_NUDGES):
-        if outcome.reason in _NO_MINIMUM_YET or not _at_half_turn(graph, outcome.poses):
+        if outcome.reason in _NO_MINIMUM_YET or not _at_half_turn(graph, outcome.poses, edges):
             break
         steps = rng.normal(scale=_NUDGE, size=(len(graph.ids) - len(graph.gauge), graph.dof))
         steps[:, : graph.dimension] = 0
@@ -83,9 +86,9 @@ def away_from_half_turns(
     return outcome
 
 
-def _at_half_turn(graph: PoseGraph, poses: Floats) -> bool:
+def _at_half_turn(graph: PoseGraph, poses: Floats, edges: Flags | slice) -> bool:
     d = graph.dimension
-    e = residuals(graph, poses)[:, d:]
+    e = residuals(graph, poses)[edges, d:]
     if len(e) == 0:
         return False
     farthest = float(np.sqrt(np.square(e).sum(axis=1).max()))
