@@ -16,6 +16,7 @@ from masat.optimizers.equations import normal_equations
 from masat.optimizers.losses import EdgeLoss, Loss
 from masat.optimizers.termination import Report
 from masat.progress import Progress, ReportStage
+from masat.robust import decide
 
 
 def solve(
@@ -25,6 +26,7 @@ def solve(
     optimizer: str = "levenberg_marquardt",
     root: int | None = None,
     certify: bool = False,
+    robust: bool = False,
     loss: str | Loss | EdgeLoss | None = None,
     scale: float | None = None,
     trusted: Flags | None = None,
@@ -56,6 +58,11 @@ def solve(
     certify : bool
         Whether to prove that chi2 is the lowest of all poses (`masat.certify`): one more
         factorization in most cases. No further search is made where there is no proof.
+    robust : bool
+        Whether to decide first which loop closures to believe (`masat.robust`), and to make the map
+        of these alone. `result.kept` and `result.closures` tell the decision. No constant needs to
+        be chosen; `trusted` names the edges that are believed in any case, by default odometry:
+        the first edge of each pair of consecutive ids.
     loss, scale, trusted
         Loss of the edges in the optimization that follows the initial guess, as in
         `masat.optimize`. The initial guess does not know it: "auto" searches for the minimum of
@@ -107,8 +114,16 @@ def solve(
     progress = Progress(budget, report_stage, catch_interrupts=True)
     start = perf_counter()
     rooted = graph if root is None else graph.with_root(root)
+    decision = None
+    if robust:
+        if loss is not None:
+            raise OptimizationError("robust and loss exclude each other: choose one of them")
+        decision = decide(rooted, trusted, progress=progress)
+        rooted, trusted = rooted.without_edges(~decision.kept), None
     equations = normal_equations(rooted, threads)
     guess = guess_of(rooted, init, seed=seed, progress=progress, equations=equations)
+    if decision is not None and equations.chi2(decision.poses) < guess.chi2:
+        guess = guess.with_poses(decision.poses)
     init_seconds = perf_counter() - start
     for note in guess.notes:
         if note not in graph.notes:
@@ -128,4 +143,10 @@ def solve(
     certificate = None
     if certify and result.converged:
         certificate = certified(result.graph, search=False, progress=progress, equations=equations)
-    return replace(result, init=init, init_seconds=init_seconds, certificate=certificate)
+    return replace(
+        result,
+        init=init,
+        init_seconds=init_seconds,
+        certificate=certificate,
+        decision=decision,
+    )

@@ -37,6 +37,16 @@ from masat.solver import solve as solved
     help="Whether to prove that the map is the global optimum.  "
     "[default: unless --quiet or --loss]",
 )
+@click.option(
+    "--robust",
+    is_flag=True,
+    help="Decide first which loop closures to believe; the map is made of these alone.",
+)
+@click.option(
+    "--rejected",
+    type=click.Path(path_type=Path),
+    help="Where to write the loop closures that --robust rejects, in g2o.",
+)
 @options.robust_loss
 @options.optimizer
 @options.output
@@ -54,6 +64,8 @@ def solve(
     seed: int,
     budget: float | None,
     certify: bool | None,
+    robust: bool,
+    rejected: Path | None,
     loss: str | None,
     loss_scale: float | None,
     optimizer: str,
@@ -70,10 +82,13 @@ def solve(
 
     Ctrl-C ends the search with the best map so far, which is still written.
     """
-    options.check_outputs(file, out, save, picture)
+    if rejected is not None and not robust:
+        raise click.UsageError("--rejected goes with --robust")
+    options.check_outputs(file, out, rejected, save, picture)
     options.check_picture(picture)
-    if out is not None:
-        format_of(out)
+    for target in (out, rejected):
+        if target is not None:
+            format_of(target)
     if certify is None:
         certify = loss is None and (as_json or not quiet)
     begin = perf_counter()
@@ -88,6 +103,7 @@ def solve(
             optimizer=optimizer,
             root=root,
             certify=certify,
+            robust=robust,
             loss=loss,
             scale=loss_scale,
             max_iterations=max_iterations,
@@ -102,12 +118,20 @@ def solve(
         options.notes(result.graph.notes[len(graph.notes) :])
     if out is not None:
         write(result.graph, out)
+    left_out = None
+    if result.kept is not None:
+        left_out = graph.without_edges(result.kept).with_poses(result.poses)
+        if rejected is not None:
+            write(left_out, rejected)
     if save is not None:
         result.save(save)
     if picture is not None:
         from masat.plotting import before_and_after, plot
 
-        plot(before_and_after(graph, result.graph), picture)
+        panels = before_and_after(graph, result.graph)
+        if left_out is not None:
+            panels["rejected loop closures"] = left_out
+        plot(panels, picture)
     times = {
         "read": read_seconds,
         "initial guess": result.init_seconds,
@@ -123,9 +147,10 @@ def solve(
             "times": times,
         }
         proof = result.certificate and result.certificate.to_dict()
-        show.as_json(about | show.summary(result) | {"certificate": proof})
+        decision = result.decision and result.decision.to_dict()
+        show.as_json(about | show.summary(result) | {"certificate": proof, "decision": decision})
     elif not quiet:
-        _print(result, times, [p for p in (out, save, picture) if p is not None])
+        _print(result, times, [p for p in (out, rejected, save, picture) if p is not None])
     if not result.converged:
         if quiet or as_json:
             click.echo(f"masat: {file}: {result.message}", err=True)
@@ -143,6 +168,7 @@ def _print(result: Result, times: dict[str, float], written: list[Path]) -> None
                 "result",
                 f"chi2 {result.chi2:.6g} in {result.iterations} iterations of {result.method}",
             ),
+            *_closures(result),
             *_robust(result),
             ("stopped", result.message),
             ("optimum", _optimum(result.certificate)),
@@ -152,6 +178,27 @@ def _print(result: Result, times: dict[str, float], written: list[Path]) -> None
             ("written", ", ".join(map(str, written)) or "nothing: name a file with -o"),
         ]
     )
+
+
+def _closures(result: Result) -> list[tuple[str, str]]:
+    """Return what to say of a robust decision, a row for each reason."""
+    if result.decision is None or result.closures is None:
+        return []
+    table, decision = result.closures, result.decision
+    kept = int(table["kept"].sum())
+    said = f"{kept} of {len(table)} kept; cost {decision.cost:.6g}"
+    if decision.scale != 1:
+        said += f"; covariances of the closures {decision.scale:.3g} times what they say"
+    rows = [("loop closures", said)]
+    for reason in sorted(set(table["reason"][~table["kept"]].tolist())):
+        own = table[table["reason"] == reason]
+        shown = ", ".join(
+            f"{a} -> {b}" for a, b in zip(own["from"][:3], own["to"][:3], strict=True)
+        )
+        rows.append(
+            ("rejected", f"{len(own)}: {reason} ({shown}{', ...' if len(own) > 3 else ''})")
+        )
+    return rows
 
 
 def _robust(result: Result) -> list[tuple[str, str]]:

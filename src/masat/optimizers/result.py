@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from masat.arrays import Floats, Ids, locked
+from masat.arrays import AnyArray, Flags, Floats, Ids, locked
 from masat.errors import FormatError, MasatError
 from masat.files import write_atomically
 from masat.graph import PoseGraph
@@ -20,6 +20,7 @@ from masat.optimizers.termination import Iteration, StopReason
 
 if TYPE_CHECKING:
     from masat.optimality.certificate import Certificate
+    from masat.robust.decision import Decision
 
 _VERSION = 2
 
@@ -61,6 +62,9 @@ class Result:
         over the trusted ones.
     weights : ndarray, (m,), or None
         With a loss, the weight of each edge at `poses`, from 0 for an edge that was ignored to 1.
+    decision : Decision or None
+        Which loop closures were believed and why, if `masat.solve` was asked to be robust. `graph`
+        then holds the edges that were kept.
     """
 
     graph: PoseGraph
@@ -78,6 +82,7 @@ class Result:
     loss: str | None = None
     robust_cost: float | None = None
     weights: Floats | None = None
+    decision: Decision | None = None
 
     def __post_init__(self) -> None:
         self.__dict__["gauge"] = locked(self.gauge)
@@ -93,6 +98,16 @@ class Result:
         """The optimized poses, (n, 3) or (n, 7) in the order of `graph.ids`."""
         assert self.graph.poses is not None
         return self.graph.poses
+
+    @property
+    def kept(self) -> Flags | None:
+        """Which edges of the graph given were kept, (m,), if the solve was robust."""
+        return None if self.decision is None else self.decision.kept
+
+    @property
+    def closures(self) -> AnyArray | None:
+        """The table of loop closures, if the solve was robust; see `masat.robust.Decision`."""
+        return None if self.decision is None else self.decision.closures
 
     @property
     def converged(self) -> bool:
@@ -148,9 +163,16 @@ class Result:
             "certificate": self.certificate and self.certificate.to_dict(),
             "loss": self.loss,
             "robust_cost": self.robust_cost,
+            "decision": self.decision
+            and {"cost": self.decision.cost, "scale": self.decision.scale},
             "notes": graph.notes,
         }
-        optional: dict[str, Any] = {"labels": graph.labels, "weights": self.weights}
+        optional: dict[str, Any] = {
+            "labels": graph.labels,
+            "weights": self.weights,
+            "kept": self.kept,
+            "closures": self.closures,
+        }
         buffer = io.BytesIO()
         np.savez_compressed(
             buffer,
@@ -208,6 +230,7 @@ class Result:
                     loss=about.get("loss"),
                     robust_cost=about.get("robust_cost"),
                     weights=arrays.get("weights"),
+                    decision=_decision(about.get("decision"), arrays),
                 )
         except FormatError:
             raise
@@ -222,3 +245,17 @@ def _certificate(saved: dict[str, Any] | None) -> Certificate | None:
         return None
     names = ("status", "message", "chi2", "bound", "optimum")
     return Certificate(**{name: saved[name] for name in names}, better=None)
+
+
+def _decision(saved: dict[str, float] | None, arrays: Any) -> Decision | None:
+    from masat.robust.decision import Decision
+
+    if saved is None:
+        return None
+    return Decision(
+        kept=locked(arrays["kept"]),
+        closures=locked(arrays["closures"]),
+        cost=saved["cost"],
+        scale=saved["scale"],
+        poses=locked(arrays["poses"]),
+    )

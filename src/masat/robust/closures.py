@@ -52,7 +52,7 @@ class Closures:
         self.graph = graph
         self.trusted: Flags = mask
         self.edges: Ids = np.flatnonzero(~mask)
-        self.covariance: Floats = np.linalg.inv(graph.information[self.edges])
+        self.covariance: Floats = np.linalg.inv(graph.information[self.edges]).astype(np.float64)
         ends = graph.edge_indices[self.edges].astype(np.int64)
         self.reversed: Flags = ends[:, 0] > ends[:, 1]
         # Ends in the order of the ids, so that closures of one place can be compared.
@@ -92,7 +92,11 @@ class Closures:
     @cached_property
     def clusters(self) -> Indices:
         """Cluster of each closure: those connected by pairs of one place, numbered from 0."""
-        if len(self) == 0:
-            return np.empty(0, np.int32)
-        ends = np.ascontiguousarray(self.pairs.astype(np.int32))
-        return _core.Topology(len(self), ends).components()
+        return connected(len(self), self.pairs)
+
+
+def connected(count: int, pairs: Ids) -> Indices:
+    """Return the connected component of each of so many things, by the pairs that belong together."""
+    if count == 0:
+        return np.empty(0, np.int32)
+    return _core.Topology(count, np.ascontiguousarray(pairs.astype(np.int32))).components()

@@ -51,7 +51,7 @@ class Decision:
         A row for each edge that is not trusted: `edge` (its index), `from`, `to`, `kept`, `chi2`
         (in the final map), `distance` (squared Mahalanobis distance from the prediction, with the
         scaled information; NaN for kept ones), `log_ratio` (logarithm of the likelihood ratio
-        against a false closure; NaN for kept ones), `cluster` (closures of one place), `reason`.
+        against a false closure; NaN for kept ones), `cluster` (closures of one place that agree), `reason`.
     cost : float
         chi2 of the trusted edges and of the kept closures, with the scaled information, and the
         price of the rejected ones (`masat.robust.objective`).
@@ -153,7 +153,7 @@ def _decided(closures: Closures, scale: float, progress: Progress) -> Decision:
     table["chi2"] = chi2[closures.edges]
     table["distance"] = np.where(growth.kept, np.nan, growth.distance)
     table["log_ratio"] = np.where(growth.kept, np.nan, growth.log_ratio)
-    table["cluster"] = closures.clusters
+    table["cluster"] = growth.runs
     table["reason"] = _reasons(closures, growth, first)
     return Decision(
         kept=locked(closures.kept_edges(growth.kept)),

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from masat.arrays import Flags, Floats, Ids
+from masat.arrays import Flags, Floats, Ids, Indices
 from masat.initializers import guess_of
 from masat.optimizers import optimize
 from masat.progress import Progress
 from masat.residuals import chi2_per_edge
-from masat.robust.closures import FAR_GATE, GATE, REACH, Closures
-from masat.robust.prediction import predict, supported
+from masat.robust.closures import FAR_GATE, GATE, REACH, Closures, connected
+from masat.robust.prediction import agreement, predict
 
 # A closure that no other supports needs a larger likelihood ratio, in logarithms.
 _MIN_RATIO, _MIN_RATIO_ALONE = 1.0, 6.0
@@ -43,12 +43,18 @@ class Growth:
         self._progress = progress
         graph = closures.graph
         trusted = graph.without_edges(~closures.trusted)
-        self.poses = guess_of(trusted, "chordal").poses
-        self.kept = np.zeros(len(closures), np.bool_)
+        guess = guess_of(trusted, "chordal").poses
+        assert guess is not None
+        self.poses: Floats = guess
+        self.kept: Flags = np.zeros(len(closures), np.bool_)
         self.distance = np.full(len(closures), np.inf)
         self.log_ratio = np.full(len(closures), -np.inf)
         self._optimize()
-        self.supported = supported(closures, self.poses)
+        agree = closures.pairs[agreement(closures, self.poses) < GATE[graph.dof]]
+        self.supported: Flags = np.zeros(len(closures), np.bool_)
+        self.supported[agree.ravel()] = True
+        # Closures that agree, by way of others: they are likely all true or all false.
+        self.runs: Indices = connected(len(closures), agree)
 
     @property
     def chi2(self) -> Floats:
@@ -109,11 +115,10 @@ class Growth:
     def _near(self, new: Ids) -> Ids:
         """Return the closures near new ones that are not hopeless."""
         n = len(self._closures.graph)
-        near = np.zeros(n + 1, np.int64)
-        for end in self._closures.ends[new].ravel():
-            near[max(end - _NEAR, 0)] += 1
-            near[min(end + _NEAR + 1, n)] -= 1
-        touched = np.cumsum(near)[:n] > 0
+        ends = self._closures.ends[new].ravel()
+        begun = np.bincount(np.maximum(ends - _NEAR, 0), minlength=n + 1)
+        ended = np.bincount(np.minimum(ends + _NEAR + 1, n), minlength=n + 1)
+        touched = np.cumsum(begun - ended)[:n] > 0
         hopeless = self.distance > _HOPELESS * GATE[self._closures.graph.dof]
         return np.flatnonzero(~self.kept & touched[self._closures.ends].any(axis=1) & ~hopeless)
 
@@ -129,7 +134,7 @@ class Growth:
             within = self.kept & (self.chi2[self._closures.edges] < GATE[dof])
             if (within == self.kept).all() or self._progress.over:
                 return
-            self.kept: Flags = within
+            self.kept = within
             self._optimize()
 
     def _optimize(self) -> None:

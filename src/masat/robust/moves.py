@@ -1,26 +1,25 @@
-"""Whole clusters of closures are added to a map where that lowers the cost."""
+"""Runs of rejected closures are forced into a map where that lowers the cost."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from masat.arrays import Ids
 from masat.progress import Progress
 from masat.robust.closures import Closures
 from masat.robust.growth import Growth
 from masat.robust.objective import cost
 
-# Clusters tried at the most, and the fewest closures that agree in one that is worth a trial.
+# Runs tried at the most, and the fewest rejected closures in one that is worth a trial.
 _MAX_TRIALS, _MIN_AGREEING = 12, 2
 _LOWER = 1e-6
 
 
 def improve(closures: Closures, growth: Growth, progress: Progress) -> Growth:
-    """Return a growth of lower cost, by forcing rejected clusters in.
+    """Return a growth of lower cost, by forcing rejected runs in.
 
-    A cluster of closures that agree with each other may have been blocked by another one that was
-    believed first. Each is believed at once, what then is far beyond its information is dropped,
-    and the map grows on; the change is kept if the cost falls.
+    A run of closures that agree with each other may have been blocked by another one that was
+    believed first. It is believed at once, what then is far beyond its information is dropped, and
+    the map grows on; the change is kept if the cost falls.
 
     Parameters
     ----------
@@ -36,10 +35,14 @@ def improve(closures: Closures, growth: Growth, progress: Progress) -> Growth:
     Growth
     """
     lowest = cost(closures, growth.kept, growth.chi2)
-    for members in _rejected_clusters(closures, growth):
-        if progress.over:
+    tried: set[int] = set()
+    while len(tried) < _MAX_TRIALS and not progress.over:
+        run = _largest_rejected(growth, tried)
+        if run is None:
             break
-        progress.tell(f"trying a cluster of {len(members)} rejected loop closures")
+        tried.add(run)
+        members = np.flatnonzero((growth.runs == run) & ~growth.kept)
+        progress.tell(f"trying {len(members)} rejected loop closures that agree")
         trial = growth.copy()
         trial.believe(members)
         trial.grow()
@@ -49,12 +52,9 @@ def improve(closures: Closures, growth: Growth, progress: Progress) -> Growth:
     return growth
 
 
-def _rejected_clusters(closures: Closures, growth: Growth) -> list[Ids]:
-    """Return the clusters that are rejected whole and agree in themselves, the largest first."""
-    clusters = closures.clusters
-    count = int(clusters.max()) + 1 if len(clusters) else 0
-    rejected = np.bincount(clusters[growth.kept], minlength=count) == 0
-    agreeing = np.bincount(clusters[growth.supported], minlength=count)
-    worth = np.flatnonzero(rejected & (agreeing >= _MIN_AGREEING))
-    worth = worth[np.argsort(-agreeing[worth], kind="stable")][:_MAX_TRIALS]
-    return [np.flatnonzero((clusters == k) & growth.supported) for k in worth]
+def _largest_rejected(growth: Growth, tried: set[int]) -> int | None:
+    """Return the run with most rejected closures, of those not tried."""
+    count = np.bincount(growth.runs[~growth.kept], minlength=1)
+    count[[run for run in tried if run < len(count)]] = 0
+    largest = int(count.argmax())
+    return largest if count[largest] >= _MIN_AGREEING else None

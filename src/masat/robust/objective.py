@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from masat.arrays import Flags, Floats
 from masat.robust.closures import GATE, Closures
 
-# Rejected closures of one cluster beyond this number cost no more: their errors are not independent.
-_MAX_PRICED = 20
+# Closures of one place in a row whose errors may have one cause.
+_RUN = 20
 
 
 def price(closures: Closures, rejected: Flags) -> float:
-    """Return what rejected closures cost: for n of a cluster the gate + 2 dof (n - 1), n up to 20.
+    """Return what rejected closures cost: each run of n gate + 2 dof (n - 1).
 
     The errors of a run of closures are not independent, so that a run costs much less than its
-    closures one by one.
+    closures one by one. The rejected closures of a place make runs of at most 20.
     """
-    dof = closures.graph.dof
     count = np.bincount(closures.clusters[rejected])
-    count = np.minimum(count[count > 0], _MAX_PRICED)
-    return float((GATE[dof] + 2 * dof * (count - 1)).sum())
+    runs, rest = np.divmod(count, _RUN)
+    return float((runs * _of_run(closures, _RUN)).sum() + _of_run(closures, rest[rest > 0]).sum())
+
+
+def _of_run(closures: Closures, count: Any) -> Any:
+    dof = closures.graph.dof
+    return GATE[dof] + 2 * dof * (np.asarray(count) - 1)
 
 
 def cost(closures: Closures, kept: Flags, chi2: Floats) -> float:

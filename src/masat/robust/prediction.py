@@ -10,7 +10,7 @@ from masat import _core, lie
 from masat.arrays import Flags, Floats, Ids
 from masat.covariance import relative_covariances
 from masat.residuals import residuals
-from masat.robust.closures import GATE, Closures
+from masat.robust.closures import Closures
 
 
 class Prediction(NamedTuple):
@@ -85,14 +85,6 @@ def _slope(e: Floats) -> Floats:
             slope[:, 3 + j, 3 + i] += vector[:, axis]
     slope[:, :d, :d] = _core.rotation_matrices(pose)
     return slope
-
-
-def supported(closures: Closures, poses: Floats) -> Flags:
-    """Return which closures, (c,), another one of the same place agrees with."""
-    out = np.zeros(len(closures), np.bool_)
-    agree = agreement(closures, poses) < GATE[closures.graph.dof]
-    out[closures.pairs[agree].ravel()] = True
-    return out
 
 
 def agreement(closures: Closures, poses: Floats) -> Floats:
