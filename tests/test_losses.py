@@ -258,6 +258,14 @@ def test_gnc_where_all_fits_is_least_squares():
     assert result.robust_cost == pytest.approx(result.chi2)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_a_node_whose_edges_have_no_weight_is_named(method):
+    graph = pair(0.0).with_poses(np.array([[0, 0, 0], [100.0, 0, 0]]))
+    result = masat.optimize(graph, method, loss="tukey")
+    assert result.reason is StopReason.SINGULAR
+    assert "no weight to the edges around node 1; trust odometry" in result.message
+
+
 def test_a_report_stops_gnc():
     graph, odometry, _ = spoiled(0.3, seed=2)
     start = masat.initialize(graph, "odometry")
