@@ -45,10 +45,7 @@ def test_a_study_from_the_command_line(tmp_path):
         (["run", "quick", "--only", "manhattan:100:150/.1,.1,.1/0/magic"], "unknown initial guess"),
         (["run", "quick", "--only", "MIT//0/ground_truth"], "no ground truth"),
         (["run", "quick", "--only", "Atlantis//0/masat"], "unknown dataset 'Atlantis'"),
-        (
-            ["run", "quick", "--only", "sphere:20:30/.1,.1,.1/0/masat"],
-            "the noise of a 2D graph has 3 sigmas",
-        ),
+        (["run", "quick", "--only", "sphere:20:30/.1,.1,.1/0/masat"], "the noise of a 2D graph has 3 sigmas"),
         (["run", "quick", "--store", "s", "--workers", "100000"], "--workers"),
         (["run", "binary.toml", "--store", "s"], "binary.toml:1: is not UTF-8 text"),
         (["run", "huge.toml", "--store", "s"], "huge.toml:4: instances must be at most"),
