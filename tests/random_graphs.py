@@ -3,6 +3,7 @@
 import numpy as np
 
 from masat import PoseGraph, lie
+from masat.worlds import manhattan, perturb
 
 
 def random_poses(dimension: int, count: int, random: np.random.Generator) -> np.ndarray:
@@ -41,3 +42,23 @@ def random_graph(
     root = random.normal(size=(len(pairs), dof, dof))
     information = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(dof)
     return PoseGraph.from_arrays(pairs, z, information, ids=np.arange(nodes), poses=poses)
+
+
+def with_false_closures(fraction: float, seed: int) -> tuple[PoseGraph, np.ndarray, np.ndarray]:
+    """Return a Manhattan world with false closures, and masks of its odometry and true edges."""
+    graph = perturb(manhattan(300, 480, seed=seed), (0.03, 0.03, 0.02), seed=seed)
+    odometry = np.zeros(len(graph.edges), bool)
+    _, first = np.unique(graph.edges, axis=0, return_index=True)
+    odometry[first] = np.abs(np.diff(graph.edges[first], axis=1)).ravel() == 1
+    random = np.random.default_rng(seed)
+    count = round(fraction / (1 - fraction) * np.count_nonzero(~odometry))
+    begin = random.integers(150, size=count)
+    false = np.column_stack([begin, begin + random.integers(50, 150, size=count)])
+    z = random.normal(0, (0.3, 0.3, 0.2), (count, 3))
+    bad = PoseGraph.from_arrays(
+        np.concatenate([graph.edges, false]),
+        np.concatenate([graph.measurements, z]),
+        np.concatenate([graph.information, np.repeat(graph.information[:1], count, axis=0)]),
+        ids=graph.ids,
+    )
+    return bad, np.r_[odometry, np.zeros(count, bool)], np.arange(len(bad.edges)) < 480

@@ -5,12 +5,10 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from random_graphs import random_graph
+from random_graphs import random_graph, with_false_closures
 
 import masat
 from masat import OptimizationError, PoseGraph, Result, StopReason
-from masat._core import Loss as ScaledLoss
-from masat._core import LossKind
 from masat.cli import cli
 from masat.optimizers import LOSSES, OPTIMIZERS
 from masat.optimizers.equations import normal_equations
@@ -45,26 +43,6 @@ def pair(*x, dimension=2):
     )
 
 
-def spoiled(fraction, seed):
-    """A Manhattan world with false closures, and masks of its odometry and its true edges."""
-    graph = perturb(manhattan(300, 480, seed=seed), (0.03, 0.03, 0.02), seed=seed)
-    odometry = np.zeros(len(graph.edges), bool)
-    _, first = np.unique(graph.edges, axis=0, return_index=True)
-    odometry[first] = np.abs(np.diff(graph.edges[first], axis=1)).ravel() == 1
-    random = np.random.default_rng(seed)
-    count = round(fraction / (1 - fraction) * np.count_nonzero(~odometry))
-    begin = random.integers(150, size=count)
-    false = np.column_stack([begin, begin + random.integers(50, 150, size=count)])
-    z = random.normal(0, (0.3, 0.3, 0.2), (count, 3))
-    bad = PoseGraph.from_arrays(
-        np.concatenate([graph.edges, false]),
-        np.concatenate([graph.measurements, z]),
-        np.concatenate([graph.information, np.repeat(graph.information[:1], count, axis=0)]),
-        ids=graph.ids,
-    )
-    return bad, np.r_[odometry, np.zeros(count, bool)], np.arange(len(bad.edges)) < 480
-
-
 @pytest.mark.parametrize("scale", [0.7, 3.0])
 @pytest.mark.parametrize("name", LOSSES)
 def test_the_weight_is_the_derivative_of_rho(name, scale):
@@ -92,24 +70,6 @@ def test_the_weight_never_grows_with_chi2(name):
     weight = LOSSES[name](np.linspace(0, 40, 2001), 2.0)[1]
     assert (np.diff(weight) <= 0).all()
     assert weight.min() >= 0
-
-
-@pytest.mark.parametrize("mu", [1e-4, 0.1, 1.0, 30.0])
-def test_the_stages_of_gnc_have_the_weights_of_the_paper(mu):
-    # Yang et al. 2020, equations 11 and 14, with r^2 = chi2 and c^2 = 4.
-    chi2 = np.geomspace(1e-6, 1e6, 500)
-    rho, weight = ScaledLoss(LossKind.TRUNCATED, 2.0, mu)(chi2)
-    expected = np.clip(2 / np.sqrt(chi2) * np.sqrt(mu * (mu + 1)) - mu, 0, 1)
-    assert np.allclose(weight, expected, rtol=1e-9, atol=1e-12)
-    # The cost is that of the weights: w r^2 + mu (1 - w) / (mu + w) c^2.
-    assert np.allclose(rho, weight * chi2 + mu * (1 - weight) / (mu + weight) * 4, rtol=1e-9)
-
-
-def test_the_truncated_loss_is_the_limit_of_the_stages():
-    chi2 = np.array([0.1, 3.9, 4.1, 1e4])
-    rho, weight = ScaledLoss(LossKind.TRUNCATED, 2.0, 1e9)(chi2)
-    assert np.allclose(rho, LOSSES["gnc_tls"](chi2, 2.0)[0])
-    assert weight.tolist() == [1, 1, 0, 0]
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -162,7 +122,7 @@ def test_a_loss_in_python_is_asked_once_for_the_same_poses():
 
 @pytest.mark.parametrize("method", METHODS)
 def test_three_opinions_of_which_two_agree(method):
-    # Huber: 2 x = scale, the pull of the third being scale / |r| r. The others reject it.
+    # Huber: 2 x = scale, since the third edge counts scale / |r| times r. The others reject it.
     graph = pair(0.0, 0.0, 100.0)
 
     def x(loss):
@@ -173,7 +133,7 @@ def test_three_opinions_of_which_two_agree(method):
     assert np.isclose(masat.optimize(graph, method).poses[1, 0], 100 / 3)
     assert np.isclose(x("huber"), 1.0, atol=1e-4)
     for loss in ("tukey", "gnc_tls"):
-        assert x(loss) == 0
+        assert np.isclose(x(loss), 0, atol=1e-12)
     # 2 x = (100 - x) / (1 + (100 - x)^2 / 4): about 4 / 200.
     assert np.isclose(x("cauchy"), 0.02, atol=1e-3)
     assert np.isclose(x("geman_mcclure"), 0, atol=1e-4)
@@ -185,11 +145,11 @@ def test_three_opinions_of_which_two_agree(method):
 def test_the_trusted_edge_of_two_prevails(dimension, loss):
     graph = pair(50.0, 0.0, dimension=dimension)
     result = masat.optimize(graph, loss=loss, trusted=np.array([False, True]))
-    assert np.isclose(result.poses[1, 0], 0, atol=3.4 if loss == "huber" else 0.25) or (
-        dimension == 3 and loss == "huber" and result.poses[1, 0] < 4.2
-    )
+    # The gradient is zero: x = weight (50 - x).
+    x, weight = result.poses[1, 0], result.weights[0]
+    assert np.isclose(x, weight * (50 - x), rtol=1e-3, atol=1e-9)
+    assert 0 <= weight < 0.1
     assert result.weights[1] == 1
-    assert result.weights[0] < 0.1
 
 
 @pytest.mark.parametrize("loss", LOSSES)
@@ -205,7 +165,7 @@ def test_all_trusted_is_least_squares(loss):
 @pytest.mark.parametrize("method", ["levenberg_marquardt", "dogleg"])
 @pytest.mark.parametrize("loss", [*SMOOTH, own_cauchy])
 def test_the_cost_never_rises(method, loss):
-    graph, odometry, _ = spoiled(0.3, seed=1)
+    graph, odometry, _ = with_false_closures(0.3, seed=1)
     start = masat.initialize(graph, "odometry")
     result = masat.optimize(start, method, loss=loss, trusted=odometry)
     costs = [iteration.chi2 for iteration in result.history]
@@ -217,7 +177,7 @@ def test_the_cost_never_rises(method, loss):
 
 @pytest.mark.parametrize("loss", [*LOSSES, own_cauchy])
 def test_the_result_tells_chi2_cost_and_weights(loss):
-    graph, odometry, _ = spoiled(0.3, seed=2)
+    graph, odometry, _ = with_false_closures(0.3, seed=2)
     start = masat.initialize(graph, "odometry")
     result = masat.optimize(start, loss=loss, trusted=odometry)
     per_edge = chi2_per_edge(result.graph)
@@ -232,39 +192,16 @@ def test_the_result_tells_chi2_cost_and_weights(loss):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("fraction", [0.1, 0.5, 0.8])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_gnc_rejects_false_closures_and_keeps_true_ones(method, fraction, seed):
-    graph, odometry, true = spoiled(fraction, seed)
-    start = masat.initialize(graph, "odometry")
-    result = masat.optimize(start, method, loss="gnc_tls", trusted=odometry)
-    assert result.converged
-    assert set(result.weights) == {0, 1}
-    assert (result.weights[~true] == 0).all()
-    # The gate rejects one in 100 by definition.
-    assert result.weights[true & ~odometry].mean() > 0.96
-    alone = masat.solve(graph.without_edges(np.flatnonzero(~true)))
-    assert np.abs(result.poses - alone.poses)[:, :2].max() < 0.15
-
-
-def test_gnc_where_all_fits_is_least_squares():
-    graph = perturb(manhattan(80, 130, seed=2), (0.01,) * 3)
-    result = masat.optimize(graph, loss="gnc_tls", scale=100.0)
-    assert np.isclose(result.chi2, masat.optimize(graph).chi2)
-    assert result.robust_cost == pytest.approx(result.chi2)
-
-
-def test_a_report_stops_gnc():
-    graph, odometry, _ = spoiled(0.3, seed=2)
-    start = masat.initialize(graph, "odometry")
-    result = masat.optimize(start, loss="gnc_tls", trusted=odometry, report=lambda _: True)
-    assert result.reason is StopReason.INTERRUPTED
-    assert result.iterations == 1
+def test_a_node_whose_edges_have_no_weight_is_named(method):
+    graph = pair(0.0).with_poses(np.array([[0, 0, 0], [100.0, 0, 0]]))
+    result = masat.optimize(graph, method, loss="tukey")
+    assert result.reason is StopReason.SINGULAR
+    assert "no weight to the edges around node 1; trust odometry" in result.message
 
 
 @pytest.mark.parametrize("loss", LOSSES)
 def test_results_are_deterministic(loss):
-    graph, odometry, _ = spoiled(0.3, seed=2)
+    graph, odometry, _ = with_false_closures(0.3, seed=2)
     start = masat.initialize(graph, "odometry")
     runs = [
         masat.optimize(start, loss=loss, trusted=odometry, threads=threads) for threads in (1, 1, 2)
@@ -323,7 +260,7 @@ def test_there_is_no_certificate_of_a_robust_cost():
 
 
 def test_results_with_weights_are_saved(tmp_path):
-    graph, odometry, _ = spoiled(0.3, seed=2)
+    graph, odometry, _ = with_false_closures(0.3, seed=2)
     result = masat.solve(graph, init="odometry", loss="dcs", scale=3.0, trusted=odometry)
     assert result.weights[odometry].min() == 1
     result.save(tmp_path / "result.npz")
@@ -337,7 +274,7 @@ def test_results_with_weights_are_saved(tmp_path):
 
 
 def test_the_command_line_takes_a_loss(tmp_path):
-    graph, _, true = spoiled(0.1, seed=2)
+    graph, _, true = with_false_closures(0.1, seed=2)
     path = str(tmp_path / "graph.g2o")
     masat.write(masat.initialize(graph, "odometry"), path)
     command = ["solve", path, "--init", "given", "--loss", "geman_mcclure", "--loss-scale", "4"]
@@ -351,4 +288,4 @@ def test_the_command_line_takes_a_loss(tmp_path):
     assert said["certificate"] is None
     refused = CliRunner().invoke(cli, [*command, "--certify"])
     assert refused.exit_code != 0
-    assert "no certificate for a robust cost" in refused.output
+    assert "no certificate for a robust cost" in str(refused.exception)

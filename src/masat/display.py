@@ -60,6 +60,8 @@ def result_html(result: Any) -> str:
         ("stopped", lambda: result.message),
         ("chi2", lambda: f"{result.initial_chi2:.6g} → {result.chi2:.6g}"),
         ("reduced chi2", lambda: _number(result.reduced_chi2)),
+        *([] if _attribute(result, "robust_cost") is None else [
+            ("robust cost", lambda: f"{_number(result.robust_cost)} with {result.loss}")]),
         ("iterations", lambda: len(result.history)),
         ("time", lambda: f"{result.seconds:.3g} s"),
         ("gauge", lambda: _list(result.gauge)),

@@ -205,7 +205,7 @@ def optimize(
         graph=graph.with_poses(outcome.poses),
         method=method,
         reason=outcome.reason,
-        message=_message(graph, outcome, len(history)),
+        message=_message(graph, outcome, len(history), weights),
         initial_chi2=initial,
         chi2=chi2,
         history=tuple(history),
@@ -217,11 +217,18 @@ def optimize(
     )
 
 
-def _message(graph: PoseGraph, outcome: Outcome, iterations: int) -> str:
+def _message(graph: PoseGraph, outcome: Outcome, iterations: int, weights: Floats | None) -> str:
     reason = outcome.reason
     said = f"{reason.value} after {iterations} iteration{'' if iterations == 1 else 's'}"
     if reason is StopReason.SINGULAR and outcome.singular_node is not None:
-        return f"{said}: {why_singular(graph, outcome.singular_node)}"
+        node = outcome.singular_node
+        touching = (graph.edge_indices == node).any(axis=1)
+        if weights is not None and not weights[touching].any():
+            return (
+                f"{said}: the loss gives no weight to the edges around node {graph.ids[node]}; "
+                "trust odometry, or take a larger scale or another initial guess"
+            )
+        return f"{said}: {why_singular(graph, node)}"
     if reason is StopReason.DIVERGED:
         return f"{said}: try Levenberg-Marquardt or another initial guess"
     if reason is StopReason.MAX_ITERATIONS:

@@ -20,7 +20,8 @@ from masat.residuals import chi2_per_edge
 _GROWTH = 1.4
 # Above it the losses differ from the truncated one only within 1 % of scale^2.
 _MAX_MU = 100.0
-# A stage only has to follow the minimum: its cost needs few digits.
+# A stage only has to follow the minimum. On simulated Manhattan worlds 1e-5 needs four times as
+# many iterations and rejects no more false closures; 1e-2 loses some true ones.
 _STAGE_TOLERANCE = 1e-3
 
 Minimize = Callable[[Equations, Floats, Termination], Outcome]

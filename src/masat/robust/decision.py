@@ -22,7 +22,7 @@ from masat.robust.prediction import agreement
 _QUARTILE, _MEDIAN = {3: 1.213, 6: 3.455}, {3: 2.366, 6: 5.348}
 # The information of the closures is rescaled where it seems off by more than this factor.
 _MAX_SCALE_ERROR = 4.0
-_MIN_COUNT = 10
+_MIN_COUNT, _MAX_SCALES = 10, 3
 
 _TABLE = np.dtype(
     [
@@ -49,7 +49,7 @@ class Decision:
         Which edges of the graph are kept; the trusted ones always are.
     closures : structured ndarray, (c,)
         A row for each edge that is not trusted: `edge` (its index), `from`, `to`, `kept`, `chi2`
-        (in the final map), `distance` (squared Mahalanobis distance from the prediction, with the
+        (in the final map, with the information given), `distance` (squared Mahalanobis distance from the prediction, with the
         scaled information; NaN for kept ones), `log_ratio` (logarithm of the likelihood ratio
         against a false closure; NaN for kept ones), `cluster` (closures of one place that agree), `reason`.
     cost : float
@@ -124,12 +124,15 @@ def decide(
     progress = progress or Progress()
     closures = Closures(graph, trusted)
     _check_connected(closures)
-    best = _decided(closures, 1.0, progress)
-    scale = _scale_hypothesis(closures, best)
-    if scale != 1.0 and not progress.over:
+    best = last = _decided(closures, 1.0, progress)
+    for _ in range(_MAX_SCALES):
+        factor = _scale_error(closures, last)
+        if factor == 1.0 or progress.over:
+            break
+        scale = last.scale * factor
         progress.tell(f"trying closures with {scale:.3g} times their covariance")
-        other = _decided(Closures(_rescaled(closures, scale), closures.trusted), scale, progress)
-        best = min(best, other, key=lambda decision: decision.cost)
+        last = _decided(Closures(_rescaled(graph, closures, scale), closures.trusted), scale, progress)
+        best = min(best, last, key=lambda decision: decision.cost)
     return best
 
 
@@ -138,7 +141,7 @@ def _decided(closures: Closures, scale: float, progress: Progress) -> Decision:
     first = growth.distance.copy()
     try:
         first = growth.grow()
-        growth = improve(closures, growth, progress)
+        growth = improve(closures, growth, first, progress)
         growth.judge_rejected()
     except KeyboardInterrupt:
         progress.interrupt()
@@ -150,7 +153,7 @@ def _decided(closures: Closures, scale: float, progress: Progress) -> Decision:
     table["edge"] = closures.edges
     table["from"], table["to"] = closures.graph.edges[closures.edges].T
     table["kept"] = growth.kept
-    table["chi2"] = chi2[closures.edges]
+    table["chi2"] = chi2[closures.edges] * scale
     table["distance"] = np.where(growth.kept, np.nan, growth.distance)
     table["log_ratio"] = np.where(growth.kept, np.nan, growth.log_ratio)
     table["cluster"] = growth.runs
@@ -177,24 +180,25 @@ def _reasons(closures: Closures, growth: Growth, first: Floats) -> AnyArray:
     return reasons
 
 
-def _scale_hypothesis(closures: Closures, decision: Decision) -> float:
-    """Return a factor of the closures' covariances that is worth a trial, or 1."""
-    dof = closures.graph.dof
-    between = agreement(closures, decision.poses)
-    kept = decision.closures["kept"]
+def _scale_error(closures: Closures, decision: Decision) -> float:
+    """Return a factor by which the closures' covariances seem wrong in a decision, or 1."""
+    dof, table = closures.graph.dof, decision.closures
+    kept = table["kept"]
     if int(kept.sum()) >= max(_MIN_COUNT, len(closures) // 2):
-        scale = float(np.median(decision.closures["chi2"][kept])) / _MEDIAN[dof]
-    elif len(between) >= _MIN_COUNT:
-        scale = float(np.quantile(between, 0.25)) / _QUARTILE[dof]
-    else:
+        factor = float(np.median(table["chi2"][kept])) / _MEDIAN[dof] / decision.scale
+        return factor if max(factor, 1 / factor) > _MAX_SCALE_ERROR else 1.0
+    # Few were believed: perhaps since their information promises too much.
+    between = agreement(closures, decision.poses) / decision.scale
+    if len(between) < _MIN_COUNT:
         return 1.0
-    return scale if scale > _MAX_SCALE_ERROR or scale < 1 / _MAX_SCALE_ERROR else 1.0
+    factor = float(np.quantile(between, 0.25)) / _QUARTILE[dof]
+    return factor if factor > _MAX_SCALE_ERROR else 1.0
 
 
-def _rescaled(closures: Closures, scale: float) -> PoseGraph:
-    information = closures.graph.information.copy()
+def _rescaled(graph: PoseGraph, closures: Closures, scale: float) -> PoseGraph:
+    information = graph.information.copy()
     information[closures.edges] /= scale
-    return replace(closures.graph, information=information)
+    return replace(graph, information=information)
 
 
 def _check_connected(closures: Closures) -> None:

@@ -47,6 +47,7 @@ class Growth:
         assert guess is not None
         self.poses: Floats = guess
         self.kept: Flags = np.zeros(len(closures), np.bool_)
+        self.banned: Flags = np.zeros(len(closures), np.bool_)
         self.distance = np.full(len(closures), np.inf)
         self.log_ratio = np.full(len(closures), -np.inf)
         self._optimize()
@@ -97,11 +98,17 @@ class Growth:
             self.kept &= ~far
             self._optimize()
 
+    def disbelieve(self, old: Ids) -> None:
+        """Take closures out of the map for good."""
+        self.kept[old] = False
+        self.banned[old] = True
+        self._optimize()
+
     def copy(self) -> Growth:
         """Return a growth that can be tried without changing this one."""
         other = object.__new__(Growth)
         other.__dict__.update(self.__dict__)
-        for name in ("kept", "distance", "log_ratio"):
+        for name in ("kept", "banned", "distance", "log_ratio"):
             setattr(other, name, getattr(self, name).copy())
         return other
 
@@ -109,7 +116,9 @@ class Growth:
         """Return the closures to believe next, the most likely first."""
         needed = np.where(self.supported, _MIN_RATIO, _MIN_RATIO_ALONE)
         within = self.distance < GATE[self._closures.graph.dof]
-        likely = np.flatnonzero(~self.kept & within & (self.log_ratio > needed))
+        likely = np.flatnonzero(
+            ~self.kept & ~self.banned & within & (self.log_ratio > needed)
+        )
         return likely[np.argsort(-self.log_ratio[likely], kind="stable")]
 
     def _near(self, new: Ids) -> Ids:

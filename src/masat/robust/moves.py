@@ -1,25 +1,30 @@
-"""Runs of rejected closures are forced into a map where that lowers the cost."""
+"""Runs of rejected closures are forced into a map, or out of it, where that lowers the cost."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from masat.arrays import Floats
 from masat.progress import Progress
-from masat.robust.closures import Closures
+from masat.robust.closures import GATE, Closures
 from masat.robust.growth import Growth
 from masat.robust.objective import cost
 
 # Runs tried at the most, and the fewest rejected closures in one that is worth a trial.
 _MAX_TRIALS, _MIN_AGREEING = 12, 2
+# Believed runs that are longer are not taken out; and it takes as many plausible closures that are
+# rejected to doubt believed ones.
+_MAX_FALSE_RUN, _MIN_BLOCKED = 40, 5
 _LOWER = 1e-6
 
 
-def improve(closures: Closures, growth: Growth, progress: Progress) -> Growth:
-    """Return a growth of lower cost, by forcing rejected runs in.
+def improve(closures: Closures, growth: Growth, first: Floats, progress: Progress) -> Growth:
+    """Return a growth of lower cost, by forcing rejected runs in and believed ones out.
 
     A run of closures that agree with each other may have been blocked by another one that was
     believed first. It is believed at once, what then is far beyond its information is dropped, and
-    the map grows on; the change is kept if the cost falls.
+    the map grows on. Where closures that the trusted edges alone allow are still rejected, believed
+    runs are taken out in the same way. A change is kept if the cost falls.
 
     Parameters
     ----------
@@ -27,6 +32,8 @@ def improve(closures: Closures, growth: Growth, progress: Progress) -> Growth:
         The closures.
     growth : Growth
         A map that no longer grows.
+    first : ndarray, (c,)
+        Squared distances of the closures from what the trusted edges alone predict.
     progress : Progress
         What reports the stages and limits the time.
 
@@ -35,26 +42,48 @@ def improve(closures: Closures, growth: Growth, progress: Progress) -> Growth:
     Growth
     """
     lowest = cost(closures, growth.kept, growth.chi2)
-    tried: set[int] = set()
-    while len(tried) < _MAX_TRIALS and not progress.over:
-        run = _largest_rejected(growth, tried)
-        if run is None:
+    tried: set[tuple[bool, int]] = set()
+    trials = {True: _MAX_TRIALS, False: _MAX_TRIALS}
+    while not progress.over:
+        move = _next_move(closures, growth, first, tried, trials)
+        if move is None:
             break
-        tried.add(run)
-        members = np.flatnonzero((growth.runs == run) & ~growth.kept)
-        progress.tell(f"trying {len(members)} rejected loop closures that agree")
+        into, run = move
+        tried.add(move)
+        trials[into] -= 1
+        members = np.flatnonzero((growth.runs == run) & (growth.kept != into))
+        progress.tell(f"trying {len(members)} loop closures {'in' if into else 'out'}")
         trial = growth.copy()
-        trial.believe(members)
+        if into:
+            trial.believe(members)
+        else:
+            trial.disbelieve(members)
         trial.grow()
         found = cost(closures, trial.kept, trial.chi2)
         if found < lowest * (1 - _LOWER):
             growth, lowest = trial, found
+            # What was refused may be right beside the new map.
+            tried = {move}
     return growth
 
 
-def _largest_rejected(growth: Growth, tried: set[int]) -> int | None:
-    """Return the run with most rejected closures, of those not tried."""
-    count = np.bincount(growth.runs[~growth.kept], minlength=1)
-    count[[run for run in tried if run < len(count)]] = 0
-    largest = int(count.argmax())
-    return largest if count[largest] >= _MIN_AGREEING else None
+def _next_move(
+    closures: Closures,
+    growth: Growth,
+    first: Floats,
+    tried: set[tuple[bool, int]],
+    trials: dict[bool, int],
+) -> tuple[bool, int] | None:
+    """Return the next run to force in (True) or out (False): the largest not tried, in first."""
+    blocked = ~growth.kept & growth.supported & (first < GATE[closures.graph.dof])
+    conflict = int(np.count_nonzero(blocked)) >= _MIN_BLOCKED
+    for into, chosen in ((True, ~growth.kept), (False, growth.kept & conflict)):
+        count = np.bincount(growth.runs[chosen], minlength=1)
+        if not into:
+            count[count > _MAX_FALSE_RUN] = 0
+        for run in np.argsort(-count, kind="stable").tolist():
+            if trials[into] == 0 or count[run] < _MIN_AGREEING:
+                break
+            if (into, run) not in tried:
+                return into, run
+    return None
