@@ -141,7 +141,7 @@ def test_only_what_is_proven_is_green():
         s: certificate_html(certificate(status=s)).split("background:")[1][:7]
         for s in ("optimal", "refuted", "undecided")
     }
-    assert len(set(colors.values())) == 4
+    assert len(set(colors.values())) == 3
 
 
 def test_a_certificate_shows_better_poses():
