@@ -131,7 +131,9 @@ def decide(
             break
         scale = last.scale * factor
         progress.tell(f"trying closures with {scale:.3g} times their covariance")
-        last = _decided(Closures(_rescaled(graph, closures, scale), closures.trusted), scale, progress)
+        last = _decided(
+            Closures(_rescaled(graph, closures, scale), closures.trusted), scale, progress
+        )
         best = min(best, last, key=lambda decision: decision.cost)
     return best
 
@@ -142,7 +144,6 @@ def _decided(closures: Closures, scale: float, progress: Progress) -> Decision:
     try:
         first = growth.grow()
         growth = improve(closures, growth, first, progress)
-        growth.judge_rejected()
     except KeyboardInterrupt:
         progress.interrupt()
     chi2 = growth.chi2

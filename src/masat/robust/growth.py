@@ -85,10 +85,6 @@ class Growth:
         self._refine()
         return first
 
-    def judge_rejected(self) -> None:
-        """Predict all closures that are not kept from the final map."""
-        self._predict(np.flatnonzero(~self.kept))
-
     def believe(self, new: Ids) -> None:
         """Add closures to the map, and drop those that are then far beyond their information."""
         self.kept[new] = True
@@ -104,6 +100,16 @@ class Growth:
         self.banned[old] = True
         self._optimize()
 
+    def count_likely(self) -> int:
+        """Return how many of the closures that agree with others the map would now believe."""
+        self._predict(np.flatnonzero(~self.kept & ~self.banned & self.supported & ~self._hopeless))
+        return len(self._likely())
+
+    @property
+    def _hopeless(self) -> Flags:
+        """Closures so far from their prediction that they are looked at last, (c,)."""
+        return self.distance > _HOPELESS * GATE[self._closures.graph.dof]
+
     def copy(self) -> Growth:
         """Return a growth that can be tried without changing this one."""
         other = object.__new__(Growth)
@@ -116,9 +122,7 @@ class Growth:
         """Return the closures to believe next, the most likely first."""
         needed = np.where(self.supported, _MIN_RATIO, _MIN_RATIO_ALONE)
         within = self.distance < GATE[self._closures.graph.dof]
-        likely = np.flatnonzero(
-            ~self.kept & ~self.banned & within & (self.log_ratio > needed)
-        )
+        likely = np.flatnonzero(~self.kept & ~self.banned & within & (self.log_ratio > needed))
         return likely[np.argsort(-self.log_ratio[likely], kind="stable")]
 
     def _near(self, new: Ids) -> Ids:
@@ -128,8 +132,8 @@ class Growth:
         begun = np.bincount(np.maximum(ends - _NEAR, 0), minlength=n + 1)
         ended = np.bincount(np.minimum(ends + _NEAR + 1, n), minlength=n + 1)
         touched = np.cumsum(begun - ended)[:n] > 0
-        hopeless = self.distance > _HOPELESS * GATE[self._closures.graph.dof]
-        return np.flatnonzero(~self.kept & touched[self._closures.ends].any(axis=1) & ~hopeless)
+        here = touched[self._closures.ends].any(axis=1)
+        return np.flatnonzero(~self.kept & here & ~self._hopeless)
 
     def _predict(self, chosen: Ids) -> None:
         if len(chosen):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from masat.arrays import Floats
+from masat.arrays import Floats, Ids
 from masat.progress import Progress
 from masat.robust.closures import GATE, Closures
 from masat.robust.growth import Growth
-from masat.robust.objective import cost
+from masat.robust.objective import cost, price
 
 # Runs tried at the most, and the fewest rejected closures in one that is worth a trial.
 _MAX_TRIALS, _MIN_AGREEING = 12, 2
@@ -54,10 +54,8 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
         members = np.flatnonzero((growth.runs == run) & (growth.kept != into))
         progress.tell(f"trying {len(members)} loop closures {'in' if into else 'out'}")
         trial = growth.copy()
-        if into:
-            trial.believe(members)
-        else:
-            trial.disbelieve(members)
+        if not _is_promising(closures, trial, into, members, lowest):
+            continue
         trial.grow()
         found = cost(closures, trial.kept, trial.chi2)
         if found < lowest * (1 - _LOWER):
@@ -65,6 +63,18 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
             # What was refused may be right beside the new map.
             tried = {move}
     return growth
+
+
+def _is_promising(
+    closures: Closures, trial: Growth, into: bool, members: Ids, lowest: float
+) -> bool:
+    """Make a move, and return whether it is worth the growth that follows."""
+    if into:
+        trial.believe(members)
+        left = cost(closures, trial.kept, trial.chi2) - lowest
+        return left < price(closures, np.isin(np.arange(len(closures)), members))
+    trial.disbelieve(members)
+    return trial.count_likely() > len(members)
 
 
 def _next_move(
