@@ -96,7 +96,7 @@ class Closures:
 
 
 def connected(count: int, pairs: Ids) -> Indices:
-    """Return the connected component of each of so many things, by the pairs that belong together."""
+    """Return the connected component of each of so many things, by pairs that belong together."""
     if count == 0:
         return np.empty(0, np.int32)
     return _core.Topology(count, np.ascontiguousarray(pairs.astype(np.int32))).components()

@@ -49,9 +49,10 @@ class Decision:
         Which edges of the graph are kept; the trusted ones always are.
     closures : structured ndarray, (c,)
         A row for each edge that is not trusted: `edge` (its index), `from`, `to`, `kept`, `chi2`
-        (in the final map, with the information given), `distance` (squared Mahalanobis distance from the prediction, with the
-        scaled information; NaN for kept ones), `log_ratio` (logarithm of the likelihood ratio
-        against a false closure; NaN for kept ones), `cluster` (closures of one place that agree), `reason`.
+        (in the final map, with the information given), `distance` (squared Mahalanobis distance
+        from the prediction, with the scaled information; NaN for kept ones), `log_ratio`
+        (logarithm of the likelihood ratio against a false closure; NaN for kept ones), `cluster`
+        (closures of one place that agree), `reason`.
     cost : float
         chi2 of the trusted edges and of the kept closures, with the scaled information, and the
         price of the rejected ones (`masat.robust.objective`).
