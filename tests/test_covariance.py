@@ -258,7 +258,7 @@ def two_triangles(weight):
     return masat.initialize(graph, "masat")
 
 
-def test_covariances_near_singularity_are_right_doubted_or_refused():
+def test_covariances_near_singularity_are_right_or_doubted():
     # The heading of the second triangle is known to 1 / weight, the rest does not count.
     for weight in (1e-6, 1e-8, 1e-10):
         assert masat.covariances(two_triangles(weight), [4])[0, 2, 2] == pytest.approx(
@@ -268,5 +268,5 @@ def test_covariances_near_singularity_are_right_doubted_or_refused():
         with pytest.warns(masat.MasatWarning, match="may be wrong by a fraction"):
             found = masat.covariances(two_triangles(weight), [4])[0, 2, 2]
         assert found == pytest.approx(1 / weight, rel=0.1)
-    with pytest.raises(OptimizationError, match="too nearly singular"):
-        masat.covariances(two_triangles(1e-14), [4])
+    with pytest.raises(OptimizationError, match="do not determine its pose"):
+        masat.covariances(two_triangles(1e-16), [4])
