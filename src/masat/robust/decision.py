@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from masat.arrays import AnyArray, Flags, Floats, locked
-from masat.errors import OptimizationError
+from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.progress import Progress
 from masat.robust.closures import GATE, Closures
@@ -21,7 +21,8 @@ from masat.robust.prediction import agreement
 # Quartiles of chi2 for 3 and 6 degrees of freedom: the lower one and the median.
 _QUARTILE, _MEDIAN = {3: 1.213, 6: 3.455}, {3: 2.366, 6: 5.348}
 # The information of the closures is rescaled where it seems off by more than this factor.
-_MAX_SCALE_ERROR = 4.0
+# At most by the second at once.
+_MAX_SCALE_ERROR, _MAX_FACTOR = 4.0, 100.0
 _MIN_COUNT, _MAX_SCALES = 10, 3
 
 _TABLE = np.dtype(
@@ -132,9 +133,11 @@ def decide(
             break
         scale = last.scale * factor
         progress.tell(f"trying closures with {scale:.3g} times their covariance")
-        last = _decided(
-            Closures(_rescaled(graph, closures, scale), closures.trusted), scale, progress
-        )
+        scaled = Closures(_rescaled(graph, closures, scale), closures.trusted)
+        try:
+            last = _decided(scaled, scale, progress)
+        except (OptimizationError, InitializationError):
+            break
         best = min(best, last, key=lambda decision: decision.cost)
     return best
 
@@ -186,15 +189,21 @@ def _scale_error(closures: Closures, decision: Decision) -> float:
     """Return a factor by which the closures' covariances seem wrong in a decision, or 1."""
     dof, table = closures.graph.dof, decision.closures
     kept = table["kept"]
+    between = agreement(closures, decision.poses) / decision.scale
     if int(kept.sum()) >= max(_MIN_COUNT, len(closures) // 2):
         factor = float(np.median(table["chi2"][kept])) / _MEDIAN[dof] / decision.scale
-        return factor if max(factor, 1 / factor) > _MAX_SCALE_ERROR else 1.0
-    # Few were believed: perhaps since their information promises too much.
-    between = agreement(closures, decision.poses) / decision.scale
-    if len(between) < _MIN_COUNT:
+        # A closure of a long loop fits almost by itself: only if others of its place agree as well.
+        if factor < 1 and len(between) >= _MIN_COUNT:
+            factor = max(factor, float(np.median(between)) / _MEDIAN[dof])
+        elif factor < 1:
+            return 1.0
+    elif len(between) >= _MIN_COUNT:
+        # Few were believed: perhaps since their information promises too much.
+        factor = max(1.0, float(np.quantile(between, 0.25)) / _QUARTILE[dof])
+    else:
         return 1.0
-    factor = float(np.quantile(between, 0.25)) / _QUARTILE[dof]
-    return factor if factor > _MAX_SCALE_ERROR else 1.0
+    factor = float(np.clip(factor, 1 / _MAX_FACTOR, _MAX_FACTOR))
+    return factor if max(factor, 1 / factor) > _MAX_SCALE_ERROR else 1.0
 
 
 def _rescaled(graph: PoseGraph, closures: Closures, scale: float) -> PoseGraph:

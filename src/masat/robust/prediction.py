@@ -49,9 +49,7 @@ def predict(closures: Closures, kept: Flags, poses: Floats, chosen: Ids) -> Pred
     Prediction
     """
     graph, edges = closures.graph, closures.edges[chosen]
-    joint = relative_covariances(
-        closures.graph_with(kept, poses), graph.edges[edges], warn=False
-    )
+    joint = relative_covariances(closures.graph_with(kept, poses), graph.edges[edges], warn=False)
     e = residuals(graph, poses)[edges]
     slope = _slope(e)
     joint = slope @ joint @ slope.transpose(0, 2, 1) + closures.covariance[chosen]
