@@ -46,7 +46,7 @@ def iteration(graph: masat.PoseGraph, count: int) -> list[float]:
 
 
 def built(graph: masat.PoseGraph, optimizer: str) -> Any:
-    """Return g2o's optimizer with a graph in it, its first node held still."""
+    """Return g2o's optimizer with a graph in it, its first node fixed."""
     vertex, edge, block_solver, linear_solver = _TYPES[graph.dimension]
     pose = _planar if graph.dimension == 2 else _spatial
     linear = linear_solver()

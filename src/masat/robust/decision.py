@@ -198,7 +198,7 @@ def _scale_error(closures: Closures, decision: Decision) -> float:
         elif factor < 1:
             return 1.0
     elif len(between) >= _MIN_COUNT:
-        # Few were believed: perhaps since their information promises too much.
+        # Few were believed: perhaps since their information is too large.
         factor = max(1.0, float(np.quantile(between, 0.25)) / _QUARTILE[dof])
     else:
         return 1.0
