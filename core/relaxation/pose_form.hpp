@@ -10,7 +10,8 @@
 
 namespace masat {
 
-// What an edge's rotation costs: a number an edge, or a symmetric d x d matrix A, row by row.
+// What an edge's rotation costs: a number an edge, or a d x d matrix A, which need not be
+// symmetric, row by row.
 struct RotationWeights {
   const double* values;
   bool matrices;

@@ -68,7 +68,8 @@ def covariances(graph: PoseGraph, ids: ArrayLike | None = None) -> Floats:
 def relative_covariances(graph: PoseGraph, pairs: ArrayLike, *, warn: bool = True) -> Floats:
     """Return the covariances of poses relative to others, whether an edge joins them or not.
 
-    Unlike those of `covariances` they do not depend on the gauge-fixed nodes.
+    Unlike those of `covariances` they do not depend on the gauge-fixed nodes, if both nodes are in
+    one component. Between components nothing is measured: the fixed nodes alone relate them.
 
     Parameters
     ----------

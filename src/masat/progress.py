@@ -15,7 +15,7 @@ class Stage(NamedTuple):
     Attributes
     ----------
     what : str
-        A few words, such as "searching around 3 uncertified nodes".
+        A few words, such as "searching in 3 uncertified parts".
     chi2 : float or None
         The lowest chi2 so far, if there are poses yet.
     seconds : float

@@ -11,7 +11,7 @@ from masat.errors import MasatWarning, OptimizationError
 from masat.graph import PoseGraph
 from masat.initializers import guess_of
 from masat.optimality.certificate import certify as certified
-from masat.optimizers import Result, optimize
+from masat.optimizers import Result, StopReason, check_method, optimize
 from masat.optimizers.equations import normal_equations
 from masat.optimizers.losses import EdgeLoss, Loss
 from masat.optimizers.termination import Report
@@ -111,6 +111,7 @@ def solve(
         raise OptimizationError(
             "there is no certificate for a robust cost: leave out loss, or certify=True (--certify)"
         )
+    check_method(optimizer)
     progress = Progress(budget, report_stage, catch_interrupts=True)
     start = perf_counter()
     rooted = graph if root is None else graph.with_root(root)
@@ -128,6 +129,7 @@ def solve(
     for note in guess.notes:
         if note not in graph.notes:
             warnings.warn(note, MasatWarning, stacklevel=2)
+    cut_short = progress.over
     result = optimize(
         guess,
         optimizer,
@@ -140,9 +142,15 @@ def solve(
         progress=progress,
         equations=equations,
     )
+    if cut_short:
+        message = f"{StopReason.INTERRUPTED.value}: the map is the best so far"
+        result = replace(result, reason=StopReason.INTERRUPTED, message=message)
     certificate = None
     if certify and result.converged:
         certificate = certified(result.graph, search=False, progress=progress, equations=equations)
+        if decision is not None:
+            message = f"{certificate.message}; this is said of the edges that were kept"
+            certificate = replace(certificate, message=message)
     return replace(
         result,
         init=init,

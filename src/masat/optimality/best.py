@@ -91,9 +91,13 @@ def best_minimum(
             return Minimum(near.poses, False, doubts)
         for doubt in doubts:
             progress.tell(doubt, near.chi2, warning=True)
-        found = lower_minimum(near.graph, seed=seed, progress=progress, equations=equations)
-        if not (soon or progress.over):
-            found = _lift_all(guess, found, seed, progress, equations)
+        try:
+            found = lower_minimum(near.graph, seed=seed, progress=progress, equations=equations)
+            if not (soon or progress.over):
+                found = _lift_all(guess, found, seed, progress, equations)
+        except KeyboardInterrupt:
+            progress.interrupt()
+            return Minimum(near.poses, False, doubts)
     except OptimizationError as error:
         raise InitializationError(f"the guess has to be optimized first: {error}") from error
     return Minimum(found.poses, False, describe_outliers(found.graph))
@@ -135,12 +139,14 @@ def _lift_all(
     progress.tell("lifting all nodes", found.chi2)
     try:
         lifted = guess.with_poses(lift(found.graph, seed=seed))
+        other = optimize(
+            lifted, "dogleg", relative_tolerance=NEAR, equations=equations, progress=progress
+        )
     except KeyboardInterrupt:
         progress.interrupt()
         return found
-    other = optimize(
-        lifted, "dogleg", relative_tolerance=NEAR, equations=equations, progress=progress
-    )
+    except (InitializationError, OptimizationError):
+        return found
     if other.chi2 >= found.chi2 * (1 - LOWER):
         return found
     return lower_minimum(other.graph, seed=seed, progress=progress, equations=equations)

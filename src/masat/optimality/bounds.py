@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from masat.arrays import Floats
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimality.relaxation import Relaxation
@@ -79,11 +80,7 @@ class _Certificate:
         self._unknowns = self._relaxation.unknowns(graph.poses, graph.dimension)
 
     def bound(self, allowed: tuple[float, ...]) -> float:
-        for fraction in allowed:
-            gap = self._relaxation.gap(self._unknowns, fraction * self._chi2)
-            if np.isfinite(gap):
-                return self._clipped(self._touched - gap)
-        return 0.0
+        return self._touched_less(self._unknowns, 0.0, allowed)
 
     def lifted(self, seed: int) -> tuple[float, PoseGraph | None]:
         relaxation = self._relaxation
@@ -96,11 +93,16 @@ class _Certificate:
         poses = relaxation.poses(top.unknowns)
         rounded = self._graph.with_poses(poses) if np.isfinite(poses).all() else None
         below = relaxation.cost(self._unknowns) - top.cost
-        for fraction in _ALLOWED:
-            gap = relaxation.gap(top.unknowns, fraction * self._chi2)
-            if np.isfinite(gap):
-                return self._clipped(self._touched - below - gap), rounded
-        return 0.0, rounded
+        return self._touched_less(top.unknowns, below, _ALLOWED), rounded
 
-    def _clipped(self, bound: float) -> float:
-        return float(np.clip(bound, 0.0, self._chi2))
+    def _touched_less(self, x: Floats, below: float, allowed: tuple[float, ...]) -> float:
+        """Return the best bound that unknowns give whose cost lies that far below the poses'."""
+        best = 0.0
+        for fraction in allowed:
+            gap = self._relaxation.gap(x, fraction * self._chi2)
+            if np.isfinite(gap):
+                best = max(best, self._touched - below - gap)
+                # A certificate that hardly holds may have a large gap: more allowance is less.
+                if gap <= 2 * max(fraction, TIGHT / 4) * self._chi2:
+                    break
+        return float(np.clip(best, 0.0, self._chi2))

@@ -17,6 +17,8 @@ from masat.progress import Progress
 
 # Times the chi2 that the rounding of coordinates makes: chi2 below it is zero to rounding.
 _ZERO = 100.0
+# chi2 of rounding, for each measured number, above which it is more than rounding.
+_MAX_ROUNDING = 1e-12
 
 Status: TypeAlias = Literal["optimal", "refuted", "undecided"]
 
@@ -125,12 +127,17 @@ def certify(
     progress = progress or Progress()
     initial = graph.chi2
     rounding = rounding_level(graph)
+    # Where rounding itself makes a chi2 that matters, it excuses nothing.
+    if rounding > _MAX_ROUNDING * graph.dof * max(len(graph.edges), 1):
+        rounding = 0.0
     if initial <= _ZERO * rounding:
         return Certificate(
-            "optimal", "globally optimal: chi2 is zero to rounding", initial, 0.0, initial, None
+            "optimal", "globally optimal: chi2 is zero to rounding", initial, initial, initial, None
         )
+    if equations is None:
+        equations = normal_equations(graph, threads)
     try:
-        return _certify(graph, initial, rounding, search, seed, threads, progress, equations)
+        return _certify(graph, initial, rounding, search, seed, progress, equations)
     except KeyboardInterrupt:
         progress.interrupt()
         reason = "interrupted"
@@ -145,13 +152,9 @@ def _certify(
     rounding: float,
     search: bool,
     seed: int,
-    threads: int | None,
     progress: Progress,
-    equations: _core.NormalEquations | None,
+    equations: _core.NormalEquations,
 ) -> Certificate:
-    if equations is None:
-        equations = normal_equations(graph, threads)
-
     def minimum(of: PoseGraph) -> Result:
         return optimize(of, relative_tolerance=1e-12, equations=equations, progress=progress)
 
@@ -164,19 +167,25 @@ def _certify(
 
     progress.tell("certifying", initial)
     best = minimum(graph)
-    bound = chi2_bound(best.graph, best.chi2)
-    first = best.chi2
-    if search and not proven(best) and not progress.over:
-        progress.tell("bounding chi2 at a higher rank", best.chi2)
-        higher, rounded = lifted_bound(best.graph, best.chi2, seed=seed)
-        bound = max(bound, higher)
-        if rounded is not None and not progress.over:
-            best = min(best, minimum(rounded), key=lambda result: result.chi2)
-        if not proven(best) and not progress.over:
-            found = lower_minimum(best.graph, seed=seed, progress=progress, equations=equations)
-            best = min(best, found, key=lambda result: result.chi2)
-        if best.chi2 < first:
-            bound = max(bound, chi2_bound(best.graph, best.chi2))
+    first, bound, trouble = best.chi2, 0.0, ""
+    try:
+        bound = chi2_bound(best.graph, best.chi2)
+        if search and not proven(best) and not progress.over:
+            progress.tell("bounding chi2 at a higher rank", best.chi2)
+            higher, rounded = lifted_bound(best.graph, best.chi2, seed=seed)
+            bound = max(bound, higher)
+            if rounded is not None and not progress.over:
+                best = min(best, minimum(rounded), key=lambda result: result.chi2)
+            if not proven(best) and not progress.over:
+                found = lower_minimum(best.graph, seed=seed, progress=progress, equations=equations)
+                best = min(best, found, key=lambda result: result.chi2)
+            if best.chi2 < first:
+                bound = max(bound, chi2_bound(best.graph, best.chi2))
+    except KeyboardInterrupt:
+        progress.interrupt()
+        trouble = " (interrupted)"
+    except (OptimizationError, InitializationError) as error:
+        trouble = f" ({error})"
     bound = min(bound, best.chi2)
     if initial - best.chi2 > same(best.chi2):
         which = "the same minimum" if first - best.chi2 <= same(best.chi2) else "another minimum"
@@ -192,7 +201,7 @@ def _certify(
         status = "undecided"
         message = (
             f"not decided: no lower minimum was found, and the proof shows only that no poses have "
-            f"a chi2 below {bound:.6g}"
+            f"a chi2 below {bound:.6g}{trouble}"
         )
     better = best.graph if status == "refuted" else None
     return Certificate(status, message, initial, bound, min(best.chi2, initial), better)

@@ -24,6 +24,8 @@ from masat.residuals import residuals
 
 # A matrix whose smallest eigenvalue is below this fraction of its largest is singular to rounding.
 _SINGULAR = 1e-14
+# The least multiple of D that W may dominate: below it their coupling leaves no useful bound.
+_MIN_RATIO = 1e-6
 # What is taken off an eigenvalue so that rounding cannot make it too large.
 _SLACK = 1e-12
 # Radians: a minorant of the squared heading residual is not fitted nearer to half a turn than this.
@@ -90,7 +92,7 @@ def tangent_surrogate(graph: PoseGraph, poses: Floats) -> Surrogate:
     Returns
     -------
     Surrogate
-        Its `deficit` is zero but for residuals near half a turn.
+        Its `deficit` is zero, but for residuals near half a turn and for strong coupling.
 
     Raises
     ------
@@ -132,7 +134,11 @@ def _representable(graph: PoseGraph) -> _Part:
     mixed = np.flatnonzero(~plain)
     own = w[mixed]
     spectrum = np.linalg.eigvalsh(own[:, :d, :d])
-    singular = np.flatnonzero(spectrum[:, 0] <= _SINGULAR * spectrum[:, -1])
+    turning = np.linalg.eigvalsh(blocks[mixed])
+    singular = np.flatnonzero(
+        (spectrum[:, 0] <= _SINGULAR * spectrum[:, -1])
+        | (turning[:, 0] <= _SINGULAR * turning[:, -1])
+    )
     if len(singular):
         a, b = graph.edges[mixed[singular[0]]]
         raise OptimizationError(
@@ -144,8 +150,10 @@ def _representable(graph: PoseGraph) -> _Part:
     held[:, d:, d:] = blocks[mixed]
     # The largest multiple of D that W dominates: below one only if W couples the two.
     inverse_root = np.linalg.inv(np.linalg.cholesky(held))
-    ratio = np.linalg.eigvalsh(inverse_root @ own @ inverse_root.transpose(0, 2, 1))[:, 0]
-    if (ratio <= _SINGULAR).any():
+    ratios = np.linalg.eigvalsh(inverse_root @ own @ inverse_root.transpose(0, 2, 1))
+    # An eigenvalue is known to the rounding of the largest one.
+    ratio = ratios[:, 0] - 16 * np.finfo(np.float64).eps * ratios[:, -1]
+    if (ratio <= _MIN_RATIO).any():
         a, b = graph.edges[mixed[int(np.argmin(ratio))]]
         raise OptimizationError(
             f"the information of edge {a} -> {b} is singular to rounding: no bound on chi2"

@@ -56,6 +56,15 @@ OPTIMIZERS: dict[str, Optimizer] = {
 SHORT_NAMES = {"gn": "gauss_newton", "lm": "levenberg_marquardt"}
 
 
+def check_method(method: str) -> str:
+    """Return the full name of an optimizer, if it is known."""
+    full = SHORT_NAMES.get(method, method)
+    if full not in OPTIMIZERS:
+        known = ", ".join([*OPTIMIZERS, *SHORT_NAMES])
+        raise OptimizationError(f"unknown optimizer {method!r}; known: {known}")
+    return full
+
+
 def optimize(
     graph: PoseGraph,
     method: str = "levenberg_marquardt",
@@ -125,10 +134,7 @@ def optimize(
         If the graph has no poses, the method or the loss is unknown, the scale is not positive, or
         `trusted` has not one entry an edge.
     """
-    method = SHORT_NAMES.get(method, method)
-    if method not in OPTIMIZERS:
-        known = ", ".join([*OPTIMIZERS, *SHORT_NAMES])
-        raise OptimizationError(f"unknown optimizer {method!r}; known: {known}")
+    method = check_method(method)
     if graph.poses is None:
         raise OptimizationError("the graph has no poses: give it some with masat.initialize")
     if max_iterations < 0 or min(relative_tolerance, absolute_tolerance, gradient_tolerance) < 0:

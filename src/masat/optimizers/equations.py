@@ -107,15 +107,17 @@ class BestSoFar:
 def rounding_level(graph: PoseGraph) -> float:
     """Return the chi2 that the rounding of coordinates alone makes.
 
-    A coordinate is known to half a unit in the last place of the largest one; an angle to that
-    of 1.
+    The coordinates of an edge are known to half a unit in the last place of the largest one of its
+    two nodes; an angle to that of 1.
     """
     if graph.poses is None or len(graph.edges) == 0:
         return 0.0
     d = graph.dimension
-    reach = max(1.0, float(np.abs(graph.poses[:, :d]).max()))
-    diagonal = np.einsum("kii->i", graph.information)
-    return float(_EPSILON**2 * (np.square(reach) * diagonal[:d].sum() + diagonal[d:].sum()))
+    largest = np.maximum(np.abs(graph.poses[:, :d]).max(axis=1), 1.0)
+    reach = largest[graph.edge_indices].max(axis=1)
+    diagonal = np.einsum("kii->ki", graph.information)
+    moved = np.square(reach) @ diagonal[:, :d].sum(axis=1)
+    return float(_EPSILON**2 * (moved + diagonal[:, d:].sum()))
 
 
 def why_singular(graph: PoseGraph, node: int) -> str:

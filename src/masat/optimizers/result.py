@@ -6,6 +6,7 @@ import io
 import json
 import os
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,16 @@ if TYPE_CHECKING:
     from masat.robust.decision import Decision
 
 _VERSION = 2
+# What NumPy raises where a file is damaged.
+_BROKEN = (
+    KeyError,
+    TypeError,
+    ValueError,
+    EOFError,
+    NotImplementedError,
+    zlib.error,
+    zipfile.BadZipFile,
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -234,7 +245,7 @@ class Result:
                 )
         except FormatError:
             raise
-        except (KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile, MasatError) as error:
+        except (*_BROKEN, MasatError) as error:
             raise FormatError(f"not a saved result: {error}", path) from None
 
 

@@ -136,6 +136,9 @@ def decide(
         scaled = Closures(_rescaled(graph, closures, scale), closures.trusted)
         try:
             last = _decided(scaled, scale, progress)
+        except KeyboardInterrupt:
+            progress.interrupt()
+            break
         except (OptimizationError, InitializationError):
             break
         best = min(best, last, key=lambda decision: decision.cost)
@@ -163,6 +166,8 @@ def _decided(closures: Closures, scale: float, progress: Progress) -> Decision:
     table["log_ratio"] = np.where(growth.kept, np.nan, growth.log_ratio)
     table["cluster"] = growth.runs
     table["reason"] = _reasons(closures, growth, first)
+    if progress.over:
+        table["reason"][~growth.kept] = "not judged: the time was over"
     return Decision(
         kept=locked(closures.kept_edges(growth.kept)),
         closures=locked(table),

@@ -87,12 +87,18 @@ class Growth:
 
     def believe(self, new: Ids) -> None:
         """Add closures to the map, and drop those that are then far beyond their information."""
-        self.kept[new] = True
-        self._optimize()
-        far = self.kept & (self.chi2[self._closures.edges] > FAR_GATE[self._closures.graph.dof])
-        if far.any():
-            self.kept &= ~far
+        before = self.kept.copy(), self.poses
+        try:
+            self.kept[new] = True
             self._optimize()
+            far = self.kept & (self.chi2[self._closures.edges] > FAR_GATE[self._closures.graph.dof])
+            if far.any():
+                self.kept &= ~far
+                self._optimize()
+        except BaseException:
+            # What was not checked is not believed.
+            self.kept, self.poses = before
+            raise
 
     def disbelieve(self, old: Ids) -> None:
         """Take closures out of the map for good."""
