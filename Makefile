@@ -40,7 +40,7 @@ sanitize: $(VENV)/.test
 	  -C cmake.define.MASAT_SANITIZE=address -C cmake.define.CMAKE_COMPILE_WARNING_AS_ERROR=ON
 	ASAN_OPTIONS=detect_leaks=0 \
 	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
-	PYTHONPATH=build/sanitized $(BIN)/python -m pytest -q \
+	PYTHONPATH=build/sanitized $(BIN)/python -m pytest -q -n auto \
 	  tests/test_core.py tests/test_fuzz.py tests/test_cholesky.py tests/test_structure.py \
 	  tests/test_lie.py tests/test_toro.py tests/test_relaxation.py tests/test_covariance.py \
 	  -k "not (same_bits and 3) and not long_calls"
