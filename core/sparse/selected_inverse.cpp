@@ -18,6 +18,10 @@ using Square = Eigen::Map<Matrix>;
 using Factor = Eigen::Map<const Matrix, Eigen::Unaligned, Eigen::OuterStride<>>;
 using Rows = Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
 
+// Columns that are solved for together: neighbors in the elimination order share most of their
+// paths to the root, and the kernels need several columns to be fast.
+constexpr int kBatch = 24;
+
 // A block of the inverse, by indices in the elimination order.
 struct Wanted {
   std::int32_t row, column;
@@ -57,8 +61,8 @@ class Inverter {
 
   void invert_front(std::int32_t f, const Square* parent, Square& inverse) const;
   void climb(std::int32_t f, std::vector<bool>& seen, std::vector<std::int32_t>& path) const;
-  void forward(std::int32_t f, double* x, double* below) const;
-  void backward(std::int32_t f, double* x, double* below) const;
+  void forward(std::int32_t f, Rows& x, Rows& below) const;
+  void backward(std::int32_t f, Rows& x, Rows& below) const;
 
   const FrontLayout& layout_;
   const AssemblyTree& tree_;
@@ -164,37 +168,49 @@ void Inverter::solve_columns(std::vector<Wanted> wanted) {
   for (std::int32_t f = 0; f < tree_.fronts(); ++f) {
     widest = std::max<std::int64_t>(widest, layout_.shape(f).rows);
   }
-  const int block = d_ * d_;
-  std::vector<double> x(tree_.order.size() * block, 0.0), below(widest * d_);
+  const std::int64_t columns = std::max(1, kBatch / d_) * d_, size = tree_.order.size() * d_;
+  std::vector<double> x_store(size * columns, 0.0), below_store(widest * columns);
+  Rows x(x_store.data(), size, columns), below(below_store.data(), widest, columns);
   std::vector<bool> up(tree_.fronts(), false), down(tree_.fronts(), false);
   std::vector<std::int32_t> rising, falling;
   InterruptPoll poll;
   const auto operations = [&](std::int32_t f) {
-    return double(layout_.shape(f).pivots) * (layout_.shape(f).pivots + layout_.shape(f).rows) * d_;
+    return double(layout_.shape(f).pivots) * (layout_.shape(f).pivots + layout_.shape(f).rows) *
+           columns;
   };
   for (auto next = wanted.begin(), end = next; next != wanted.end(); next = end) {
-    const std::int32_t column = source(*next);
     rising.clear();
     falling.clear();
-    climb(front_of(column), up, rising);
-    for (; end != wanted.end() && source(*end) == column; ++end) {
+    std::int64_t used = 0;
+    for (std::int32_t last = -1; end != wanted.end(); ++end) {
+      const std::int32_t column = source(*end);
+      if (column != last) {
+        if (used == columns) break;
+        x.block(std::int64_t{column} * d_, used, d_, d_).setIdentity();
+        climb(front_of(column), up, rising);
+        used += d_;
+        last = column;
+      }
       climb(front_of(end->row + end->column - column), down, falling);
     }
+    std::sort(rising.begin(), rising.end());
     std::sort(falling.begin(), falling.end(), std::greater<>());
-
-    Rows(&x[std::int64_t{column} * block], d_, d_).setIdentity();
     for (const std::int32_t f : rising) {
       poll.add(operations(f));
-      forward(f, x.data(), below.data());
+      forward(f, x, below);
     }
     for (const std::int32_t f : falling) {
       poll.add(operations(f));
-      backward(f, x.data(), below.data());
+      backward(f, x, below);
     }
-    for (; next != end; ++next) {
-      const bool transposed = next->column != column;
-      const Rows solved(&x[std::int64_t{transposed ? next->column : next->row} * block], d_, d_);
-      if (transposed) {
+    std::int64_t at = -d_;
+    for (std::int32_t last = -1; next != end; ++next) {
+      const std::int32_t column = source(*next);
+      if (column != last) at += d_;
+      last = column;
+      const std::int64_t row = std::int64_t{next->row} + next->column - column;
+      const auto solved = x.block(row * d_, at, d_, d_);
+      if (next->column != column) {
         Rows(next->out, d_, d_) = solved.transpose();
       } else {
         Rows(next->out, d_, d_) = solved;
@@ -203,32 +219,35 @@ void Inverter::solve_columns(std::vector<Wanted> wanted) {
     for (const auto& [path, seen] : {std::pair{&rising, &up}, std::pair{&falling, &down}}) {
       for (const std::int32_t f : *path) {
         (*seen)[f] = false;
-        std::fill(&x[layout_.first(f) * d_], &x[layout_.first(f) * d_] + tree_.pivots(f) * block,
-                  0.0);
+        x.middleRows(layout_.first(f), layout_.shape(f).pivots).setZero();
       }
     }
   }
 }
 
-void Inverter::forward(std::int32_t f, double* x, double* below) const {
+void Inverter::forward(std::int32_t f, Rows& x, Rows& below) const {
   const Front front = factor_.front(f);
-  Rows own(x + layout_.first(f) * d_, front.pivots, d_);
+  auto own = x.middleRows(layout_.first(f), front.pivots);
   l11(front).triangularView<Eigen::Lower>().solveInPlace(own);
-  Rows(below, front.rows, d_).noalias() = l21(front) * own;
+  auto product = below.topRows(front.rows);
+  product.noalias() = l21(front) * own;
+  std::int64_t from = 0;
   for (const std::int32_t row : tree_.rows(f)) {
-    double* const to = x + std::int64_t{row} * d_ * d_;
-    for (int i = 0; i < d_ * d_; ++i) to[i] -= *below++;
+    x.middleRows(std::int64_t{row} * d_, d_) -= product.middleRows(from, d_);
+    from += d_;
   }
 }
 
-void Inverter::backward(std::int32_t f, double* x, double* below) const {
+void Inverter::backward(std::int32_t f, Rows& x, Rows& below) const {
   const Front front = factor_.front(f);
-  Rows own(x + layout_.first(f) * d_, front.pivots, d_);
-  double* to = below;
+  auto own = x.middleRows(layout_.first(f), front.pivots);
+  auto known = below.topRows(front.rows);
+  std::int64_t to = 0;
   for (const std::int32_t row : tree_.rows(f)) {
-    to = std::copy_n(x + std::int64_t{row} * d_ * d_, d_ * d_, to);
+    known.middleRows(to, d_) = x.middleRows(std::int64_t{row} * d_, d_);
+    to += d_;
   }
-  own.noalias() -= l21(front).transpose() * Rows(below, front.rows, d_);
+  own.noalias() -= l21(front).transpose() * known;
   l11(front).transpose().triangularView<Eigen::Upper>().solveInPlace(own);
 }
 
