@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from masat import lie
+from masat import _core, lie
 from masat.arrays import Floats, Ids
 from masat.errors import GraphError, MasatWarning, OptimizationError
 from masat.graph import PoseGraph
@@ -65,7 +65,13 @@ def covariances(graph: PoseGraph, ids: ArrayLike | None = None) -> Floats:
     return _blocks(graph, indices, indices, warn=True)
 
 
-def relative_covariances(graph: PoseGraph, pairs: ArrayLike, *, warn: bool = True) -> Floats:
+def relative_covariances(
+    graph: PoseGraph,
+    pairs: ArrayLike,
+    *,
+    warn: bool = True,
+    equations: _core.NormalEquations | None = None,
+) -> Floats:
     """Return the covariances of poses relative to others, whether an edge joins them or not.
 
     Unlike those of `covariances` they do not depend on the gauge-fixed nodes, if both nodes are in
@@ -79,6 +85,8 @@ def relative_covariances(graph: PoseGraph, pairs: ArrayLike, *, warn: bool = Tru
         Ids (a, b).
     warn : bool
         Whether to warn where the system is nearly singular.
+    equations : NormalEquations, optional
+        Those of a graph that differs in its poses alone, to be used again.
 
     Returns
     -------
@@ -107,20 +115,26 @@ def relative_covariances(graph: PoseGraph, pairs: ArrayLike, *, warn: bool = Tru
     if indices.ndim != 2 or indices.shape[1] != 2:
         raise GraphError(f"pairs must have shape (k, 2), got {indices.shape}")
     a, b = indices.T
-    blocks = _blocks(graph, np.concatenate([a, b, a]), np.concatenate([a, b, b]), warn)
+    blocks = _blocks(graph, np.concatenate([a, b, a]), np.concatenate([a, b, b]), warn, equations)
     of_a, of_b, joint = blocks.reshape(3, len(a), graph.dof, graph.dof)
     assert graph.poses is not None
-    turn = _derivative(lie.between(graph.poses[b], graph.poses[a]))
+    turn = change_of_frame(lie.between(graph.poses[b], graph.poses[a]))
     # The derivatives are (turn, 1); summed in halves, so that the result is exactly symmetric.
     half = of_b / 2 + turn @ (of_a @ _transposed(turn) / 2 + joint)
     return half + _transposed(half)
 
 
-def _blocks(graph: PoseGraph, rows: Ids, columns: Ids, warn: bool) -> Floats:
+def _blocks(
+    graph: PoseGraph,
+    rows: Ids,
+    columns: Ids,
+    warn: bool,
+    equations: _core.NormalEquations | None = None,
+) -> Floats:
     """Return blocks of the joint covariance, (k, d, d), by indices of nodes in `graph.ids`."""
     if graph.poses is None:
         raise OptimizationError("the graph has no poses: give it some with masat.initialize")
-    equations = normal_equations(graph)
+    equations = equations or normal_equations(graph)
     if not np.isfinite(equations.linearize(graph.poses)):
         raise OptimizationError("chi2 of the poses is not finite: they are too far apart")
     failed = equations.factorize(np.zeros_like(equations.rhs()))
@@ -153,7 +167,7 @@ def _warn_if_doubtful(pivot_ratio: float) -> None:
         )
 
 
-def _derivative(seen: Floats) -> Floats:
+def change_of_frame(seen: Floats) -> Floats:
     """Return the derivative of a^-1 b by a step of a, (k, d, d), from the poses b^-1 a.
 
     It is minus the adjoint of b^-1 a.

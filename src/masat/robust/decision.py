@@ -149,8 +149,9 @@ def _decided(closures: Closures, scale: float, progress: Progress) -> Decision:
     growth = Growth(closures, progress)
     first = growth.distance.copy()
     try:
-        first = growth.grow()
+        growth.grow()
         growth = improve(closures, growth, first, progress)
+        growth.describe()
     except KeyboardInterrupt:
         progress.interrupt()
     chi2 = growth.chi2

@@ -5,19 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from masat.arrays import Flags, Floats, Ids, Indices
+from masat.graph import PoseGraph
 from masat.initializers import guess_of
 from masat.optimizers import optimize
+from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
 from masat.residuals import chi2_per_edge
 from masat.robust.closures import FAR_GATE, GATE, REACH, Closures, connected
-from masat.robust.prediction import agreement, predict
+from masat.robust.prediction import agreement, predict, predict_by_odometry
 
 # A closure that no other supports needs a larger likelihood ratio, in logarithms.
 _MIN_RATIO, _MIN_RATIO_ALONE = 1.0, 6.0
-_TOLERANCE, _ITERATIONS = 1e-5, 30
+_TOLERANCE, _ITERATIONS, _ROUGH_ITERATIONS = 1e-5, 30, 8
 _MAX_ROUNDS, _MAX_REFINEMENTS = 200, 5
 # Nodes from an end of a new closure within which predictions are made again at once.
 _NEAR = 5 * REACH
+# So small a fraction of the kept closures is believed in one round.
+_FEW = 0.15
 # Squared distances beyond this many gates are not looked at again until nothing else is left.
 _HOPELESS = 100.0
 
@@ -41,75 +45,92 @@ class Growth:
     def __init__(self, closures: Closures, progress: Progress) -> None:
         self._closures = closures
         self._progress = progress
-        graph = closures.graph
-        trusted = graph.without_edges(~closures.trusted)
-        guess = guess_of(trusted, "chordal").poses
-        assert guess is not None
-        self.poses: Floats = guess
-        self.kept: Flags = np.zeros(len(closures), np.bool_)
-        self.banned: Flags = np.zeros(len(closures), np.bool_)
-        self.distance = np.full(len(closures), np.inf)
-        self.log_ratio = np.full(len(closures), -np.inf)
-        self._optimize()
-        agree = closures.pairs[agreement(closures, self.poses) < GATE[graph.dof]]
-        self.supported: Flags = np.zeros(len(closures), np.bool_)
+        count = len(closures)
+        trusted = closures.graph.without_edges(~closures.trusted)
+        self.map: PoseGraph = guess_of(trusted, "chordal")
+        self.kept: Flags = np.zeros(count, np.bool_)
+        self.banned: Flags = np.zeros(count, np.bool_)
+        self._set_map()
+        self.distance, self.log_ratio = predict_by_odometry(closures, self.map)
+        agree = closures.pairs[agreement(closures, self.poses) < GATE[closures.graph.dof]]
+        self.supported: Flags = np.zeros(count, np.bool_)
         self.supported[agree.ravel()] = True
         # Closures that agree, by way of others: they are likely all true or all false.
-        self.runs: Indices = connected(len(closures), agree)
+        self.runs: Indices = connected(count, agree)
+        self._spokesman = _spokesmen(count, agree)
+
+    @property
+    def poses(self) -> Floats:
+        """The poses of the map, (n, 3) or (n, 7)."""
+        assert self.map.poses is not None
+        return self.map.poses
 
     @property
     def chi2(self) -> Floats:
         """chi2 of each edge of the whole graph at the poses of the map, (m,)."""
         return chi2_per_edge(self._closures.graph, self.poses)
 
-    def grow(self) -> Floats:
-        """Believe closures until the map predicts no other; return their first distances, (c,)."""
-        self._predict(np.flatnonzero(~self.kept))
-        first = self.distance.copy()
-        fresh = True
+    def grow(self) -> None:
+        """Believe closures until the map predicts no other."""
+        fresh = not self.kept.any()
         for _ in range(_MAX_ROUNDS):
             if self._progress.over:
-                return first
+                return
             likely = self._likely()
-            if len(likely) == 0:
-                if fresh:
-                    break
-                self._predict(np.flatnonzero(~self.kept))
+            if len(likely):
+                # The last few may be believed at once.
+                few = len(likely) <= _FEW * self.kept.sum()
+                new = likely if few else likely[: (len(likely) + 1) // 2]
+                self._progress.tell(f"believing {int(self.kept.sum()) + len(new)} loop closures")
+                self.believe(new)
+                self._predict_runs(self._near(new))
+                fresh = False
+            elif fresh:
+                break
+            else:
+                self._predict_runs(~self.kept)
+                self._predict(np.flatnonzero(~self.kept & ~self._hopeless))
                 fresh = True
-                continue
-            new = likely[: (len(likely) + 1) // 2]
-            self._progress.tell(f"believing {int(self.kept.sum()) + len(new)} loop closures")
-            self.believe(new)
-            self._predict(self._near(new))
-            fresh = False
         self._refine()
-        return first
 
-    def believe(self, new: Ids) -> None:
-        """Add closures to the map, and drop those that are then far beyond their information."""
-        before = self.kept.copy(), self.poses
+    def believe(self, new: Ids, *, rough: bool = False) -> None:
+        """Add closures to the map, and drop those that are then far beyond their information.
+
+        A rough map is enough to see whether closures fit.
+        """
+        iterations = _ROUGH_ITERATIONS if rough else _ITERATIONS
+        before = self.kept.copy(), self.map, self._equations
         try:
             self.kept[new] = True
-            self._optimize()
+            self._set_map(iterations)
             far = self.kept & (self.chi2[self._closures.edges] > FAR_GATE[self._closures.graph.dof])
             if far.any():
                 self.kept &= ~far
-                self._optimize()
+                self._set_map(iterations)
         except BaseException:
             # What was not checked is not believed.
-            self.kept, self.poses = before
+            self.kept, self.map, self._equations = before
             raise
 
     def disbelieve(self, old: Ids) -> None:
         """Take closures out of the map for good."""
         self.kept[old] = False
         self.banned[old] = True
-        self._optimize()
+        self._set_map()
 
     def count_likely(self) -> int:
         """Return how many of the closures that agree with others the map would now believe."""
-        self._predict(np.flatnonzero(~self.kept & ~self.banned & self.supported & ~self._hopeless))
+        self._predict(np.flatnonzero(self.candidates))
         return len(self._likely())
+
+    @property
+    def candidates(self) -> Flags:
+        """Closures that others support and that the map may come to believe, (c,)."""
+        return ~self.kept & ~self.banned & self.supported & ~self._hopeless
+
+    def describe(self) -> None:
+        """Predict all closures that are not kept."""
+        self._predict(np.flatnonzero(~self.kept))
 
     @property
     def _hopeless(self) -> Flags:
@@ -131,20 +152,30 @@ class Growth:
         likely = np.flatnonzero(~self.kept & ~self.banned & within & (self.log_ratio > needed))
         return likely[np.argsort(-self.log_ratio[likely], kind="stable")]
 
-    def _near(self, new: Ids) -> Ids:
-        """Return the closures near new ones that are not hopeless."""
+    def _near(self, new: Ids) -> Flags:
+        """Return the closures near new ones that are not hopeless, (c,)."""
         n = len(self._closures.graph)
         ends = self._closures.ends[new].ravel()
         begun = np.bincount(np.maximum(ends - _NEAR, 0), minlength=n + 1)
         ended = np.bincount(np.minimum(ends + _NEAR + 1, n), minlength=n + 1)
         touched = np.cumsum(begun - ended)[:n] > 0
-        here = touched[self._closures.ends].any(axis=1)
-        return np.flatnonzero(~self.kept & here & ~self._hopeless)
+        here: Flags = touched[self._closures.ends].any(axis=1)
+        return ~self.kept & here & ~self._hopeless
 
     def _predict(self, chosen: Ids) -> None:
         if len(chosen):
-            found = predict(self._closures, self.kept, self.poses, chosen)
+            found = predict(self._closures, self.map, chosen, self._equations)
             self.distance[chosen], self.log_ratio[chosen] = found
+
+    def _predict_runs(self, which: Flags) -> None:
+        """Predict one closure for each few that agree with it."""
+        members = np.flatnonzero(which)
+        speaks = self._spokesman[members]
+        # Where it was judged already, the others speak for themselves.
+        speaks = np.where(which[speaks], speaks, members)
+        self._predict(np.unique(speaks))
+        self.distance[members] = self.distance[speaks]
+        self.log_ratio[members] = self.log_ratio[speaks]
 
     def _refine(self) -> None:
         """Keep exactly the closures within the gate of the map that they make."""
@@ -154,13 +185,29 @@ class Growth:
             if (within == self.kept).all() or self._progress.over:
                 return
             self.kept = within
-            self._optimize()
+            self._set_map()
 
-    def _optimize(self) -> None:
+    def _set_map(self, iterations: int = _ITERATIONS) -> None:
+        """Optimize the trusted edges and the kept closures."""
+        graph = self._closures.graph_with(self.kept, self.poses)
+        self._equations = normal_equations(graph)
         result = optimize(
-            self._closures.graph_with(self.kept, self.poses),
+            graph,
             "dogleg",
-            max_iterations=_ITERATIONS,
+            max_iterations=iterations,
             relative_tolerance=_TOLERANCE,
+            equations=self._equations,
         )
-        self.poses = result.poses
+        self.map = result.graph
+
+
+def _spokesmen(count: int, agree: Ids) -> Ids:
+    """Return for each closure the one that agrees with most others, among it and those agreeing."""
+    degree = np.bincount(agree.ravel(), minlength=count)
+    rank = degree * (count + 1) + np.arange(count, 0, -1)
+    best = rank.copy()
+    i, j = agree.T
+    np.maximum.at(best, i, rank[j])
+    np.maximum.at(best, j, rank[i])
+    spokesmen: Ids = count - best % (count + 1)
+    return spokesmen

@@ -11,7 +11,7 @@ from masat.robust.growth import Growth
 from masat.robust.objective import cost, price
 
 # Runs tried at the most, and the fewest rejected closures in one that is worth a trial.
-_MAX_TRIALS, _MIN_AGREEING = 12, 2
+_MAX_TRIALS, _MIN_AGREEING = 4, 2
 # Believed runs that are longer are not taken out; and it takes as many plausible closures that are
 # rejected to doubt believed ones.
 _MAX_FALSE_RUN, _MIN_BLOCKED = 40, 5
@@ -53,6 +53,8 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
         trials[into] -= 1
         members = np.flatnonzero((growth.runs == run) & (growth.kept != into))
         progress.tell(f"trying {len(members)} loop closures {'in' if into else 'out'}")
+        if not into and int(np.count_nonzero(growth.candidates)) <= len(members):
+            continue
         trial = growth.copy()
         if not _is_promising(closures, trial, into, members, lowest):
             continue
@@ -70,7 +72,7 @@ def _is_promising(
 ) -> bool:
     """Make a move, and return whether it is worth the growth that follows."""
     if into:
-        trial.believe(members)
+        trial.believe(members, rough=True)
         left = cost(closures, trial.kept, trial.chi2) - lowest
         return left < price(closures, np.isin(np.arange(len(closures)), members))
     trial.disbelieve(members)
@@ -89,6 +91,9 @@ def _next_move(
     conflict = int(np.count_nonzero(blocked)) >= _MIN_BLOCKED
     for into, chosen in ((True, ~growth.kept), (False, growth.kept & conflict)):
         count = np.bincount(growth.runs[chosen], minlength=1)
+        if into:
+            # A true run is one that the trusted edges allow.
+            count[growth.runs[first > GATE[closures.graph.dof]]] = 0
         if not into:
             count[count > _MAX_FALSE_RUN] = 0
         for run in np.argsort(-count, kind="stable").tolist():

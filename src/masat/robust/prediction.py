@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from masat import _core, lie
-from masat.arrays import Flags, Floats, Ids
-from masat.covariance import relative_covariances
-from masat.residuals import residuals
+from masat.arrays import Floats, Ids
+from masat.covariance import change_of_frame, relative_covariances
+from masat.graph import PoseGraph
 from masat.robust.closures import Closures
 
 
@@ -30,33 +30,100 @@ class Prediction(NamedTuple):
     log_ratio: Floats
 
 
-def predict(closures: Closures, kept: Flags, poses: Floats, chosen: Ids) -> Prediction:
+def predict(
+    closures: Closures,
+    graph: PoseGraph,
+    chosen: Ids,
+    equations: _core.NormalEquations | None = None,
+) -> Prediction:
     """Predict chosen closures from the map of the trusted edges and the kept closures.
 
     Parameters
     ----------
     closures : Closures
         The closures.
-    kept : ndarray of bool, (c,)
-        Those that make the map.
-    poses : ndarray, (n, 3) or (n, 7)
-        The poses of that map.
+    graph : PoseGraph
+        The trusted edges and the closures that are kept, at their minimum.
     chosen : ndarray of int, (k,)
         Indices of the closures to predict, best of those not kept.
+    equations : NormalEquations, optional
+        Those of the graph, to be used again.
 
     Returns
     -------
     Prediction
     """
-    graph, edges = closures.graph, closures.edges[chosen]
-    joint = relative_covariances(closures.graph_with(kept, poses), graph.edges[edges], warn=False)
-    e = residuals(graph, poses)[edges]
+    pairs = closures.graph.edges[closures.edges[chosen]]
+    covariance = relative_covariances(graph, pairs, warn=False, equations=equations)
+    return _compared(closures, graph, chosen, covariance)
+
+
+def predict_by_odometry(closures: Closures, graph: PoseGraph) -> Prediction:
+    """Predict all closures from the trusted edges alone, without a closure.
+
+    Where the trusted edges are odometry, relative covariances add up along it: those of 1, 2, 4, 8,
+    ... steps are joined to that of each closure. The system of a long chain would cost more.
+    """
+    trusted = np.flatnonzero(closures.trusted)
+    ends = closures.graph.edge_indices[trusted]
+    lower = ends.min(axis=1)
+    order = np.argsort(lower, kind="stable")
+    n = len(closures.graph)
+    chain = len(trusted) == n - 1 and bool((np.abs(np.diff(ends, axis=1)) == 1).all())
+    if not (chain and (lower[order] == np.arange(n - 1)).all()):
+        return predict(closures, graph, np.arange(len(closures)))
+    poses = graph.poses
+    assert poses is not None
+    backward = (ends[:, 0] > ends[:, 1])[order]
+    step = np.linalg.inv(closures.graph.information[trusted[order]]).astype(np.float64)
+    seen = lie.between(poses[1:], poses[:-1])
+    step[backward] = _carried(step[backward], seen[backward])
+    a, b = closures.ends.T
+    at, left = a.copy(), b - a
+    total = np.zeros((len(closures), *step.shape[1:]))
+    length = 1
+    while left.any():
+        odd = np.flatnonzero(left % 2)
+        ahead = at[odd] + length
+        total[odd] = _carried(total[odd], lie.between(poses[ahead], poses[at[odd]]))
+        total[odd] += step[at[odd]]
+        at[odd] = ahead
+        left //= 2
+        middle, far = np.arange(length, n - length), np.arange(2 * length, n)
+        step = _carried(step[: len(far)], lie.between(poses[far], poses[middle])) + step[middle]
+        length *= 2
+    # They belong to the later node, the measurement's covariance to the second one.
+    reverse = closures.reversed
+    total[reverse] = _carried(total[reverse], lie.between(poses[a[reverse]], poses[b[reverse]]))
+    return _compared(closures, graph, np.arange(len(closures)), total)
+
+
+def _carried(covariance: Floats, seen: Floats) -> Floats:
+    """Return covariances of steps of poses as seen from others, at which they are `seen`."""
+    turn = change_of_frame(seen)
+    carried: Floats = turn @ covariance @ turn.swapaxes(-1, -2)
+    return carried
+
+
+def _compared(
+    closures: Closures, graph: PoseGraph, chosen: Ids, covariance: Floats
+) -> Prediction:
+    """Compare measurements with the map, given the covariances of its relative poses."""
+    poses = graph.poses
+    assert poses is not None
+    e = _residuals(closures, poses, chosen)
     slope = _slope(e)
-    joint = slope @ joint @ slope.transpose(0, 2, 1) + closures.covariance[chosen]
+    joint = slope @ covariance @ slope.transpose(0, 2, 1) + closures.covariance[chosen]
     solved = np.linalg.solve(joint, e[..., None])[..., 0]
     distance = np.einsum("ki,ki->k", e, solved)
     log_likelihood = -(distance + np.linalg.slogdet(2 * np.pi * joint)[1]) / 2
     return Prediction(distance, log_likelihood + _log_volume(poses))
+
+
+def _residuals(closures: Closures, poses: Floats, chosen: Ids) -> Floats:
+    edges = closures.edges[chosen]
+    i, j = closures.graph.edge_indices[edges].T
+    return lie.local(closures.graph.measurements[edges], lie.between(poses[i], poses[j]))
 
 
 def _log_volume(poses: Floats) -> float:
