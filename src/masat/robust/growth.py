@@ -20,6 +20,8 @@ _TOLERANCE, _ITERATIONS, _ROUGH_ITERATIONS = 1e-5, 30, 8
 _MAX_ROUNDS, _MAX_REFINEMENTS = 200, 5
 # Nodes from an end of a new closure within which predictions are made again at once.
 _NEAR = 5 * REACH
+# A group of new closures is dropped if more than this fraction of it has to be.
+_MAX_LOST = 0.3
 # So small a fraction of the kept closures is believed in one round.
 _FEW = 0.15
 # Squared distances beyond this many gates are not looked at again until nothing else is left.
@@ -50,6 +52,7 @@ class Growth:
         self.map: PoseGraph = guess_of(trusted, "chordal")
         self.kept: Flags = np.zeros(count, np.bool_)
         self.banned: Flags = np.zeros(count, np.bool_)
+        self.refused: Flags = np.zeros(count, np.bool_)
         self._set_map()
         self.distance, self.log_ratio = predict_by_odometry(closures, self.map)
         agree = closures.pairs[agreement(closures, self.poses) < GATE[closures.graph.dof]]
@@ -57,7 +60,7 @@ class Growth:
         self.supported[agree.ravel()] = True
         # Closures that agree, by way of others: they are likely all true or all false.
         self.runs: Indices = connected(count, agree)
-        self._spokesman = _spokesmen(count, agree)
+        self.spokesman = _spokesmen(count, agree)
 
     @property
     def poses(self) -> Floats:
@@ -72,6 +75,7 @@ class Growth:
 
     def grow(self) -> None:
         """Believe closures until the map predicts no other."""
+        predicted = self.kept.copy()
         fresh = not self.kept.any()
         for _ in range(_MAX_ROUNDS):
             if self._progress.over:
@@ -83,11 +87,14 @@ class Growth:
                 new = likely if few else likely[: (len(likely) + 1) // 2]
                 self._progress.tell(f"believing {int(self.kept.sum()) + len(new)} loop closures")
                 self.believe(new)
-                self._predict_runs(self._near(new))
+                self._predict_runs(self._near(new) & self.supported)
                 fresh = False
-            elif fresh:
+            elif fresh or not (self.kept & ~predicted).any():
                 break
             else:
+                # The map has changed, so that what did not fit may do so now.
+                predicted = self.kept.copy()
+                self.refused[:] = False
                 self._predict_runs(~self.kept)
                 self._predict(np.flatnonzero(~self.kept & ~self._hopeless))
                 fresh = True
@@ -105,7 +112,13 @@ class Growth:
             self._set_map(iterations)
             far = self.kept & (self.chi2[self._closures.edges] > FAR_GATE[self._closures.graph.dof])
             if far.any():
-                self.kept &= ~far
+                # A group that agrees is as a rule true or false as a whole.
+                lost = np.bincount(self.spokesman[far], minlength=len(far))
+                of = np.bincount(self.spokesman[self.kept], minlength=len(far))
+                split = np.zeros(len(far), np.bool_)
+                split[new] = (lost > _MAX_LOST * of)[self.spokesman[new]]
+                self.kept &= ~(far | split)
+                self.refused |= far | split
                 self._set_map(iterations)
         except BaseException:
             # What was not checked is not believed.
@@ -141,7 +154,7 @@ class Growth:
         """Return a growth that can be tried without changing this one."""
         other = object.__new__(Growth)
         other.__dict__.update(self.__dict__)
-        for name in ("kept", "banned", "distance", "log_ratio"):
+        for name in ("kept", "banned", "refused", "distance", "log_ratio"):
             setattr(other, name, getattr(self, name).copy())
         return other
 
@@ -149,7 +162,8 @@ class Growth:
         """Return the closures to believe next, the most likely first."""
         needed = np.where(self.supported, _MIN_RATIO, _MIN_RATIO_ALONE)
         within = self.distance < GATE[self._closures.graph.dof]
-        likely = np.flatnonzero(~self.kept & ~self.banned & within & (self.log_ratio > needed))
+        free = ~(self.kept | self.banned | self.refused)
+        likely = np.flatnonzero(free & within & (self.log_ratio > needed))
         return likely[np.argsort(-self.log_ratio[likely], kind="stable")]
 
     def _near(self, new: Ids) -> Flags:
@@ -170,7 +184,7 @@ class Growth:
     def _predict_runs(self, which: Flags) -> None:
         """Predict one closure for each few that agree with it."""
         members = np.flatnonzero(which)
-        speaks = self._spokesman[members]
+        speaks = self.spokesman[members]
         # Where it was judged already, the others speak for themselves.
         speaks = np.where(which[speaks], speaks, members)
         self._predict(np.unique(speaks))

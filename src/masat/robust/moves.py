@@ -8,13 +8,15 @@ from masat.arrays import Floats, Ids
 from masat.progress import Progress
 from masat.robust.closures import GATE, Closures
 from masat.robust.growth import Growth
-from masat.robust.objective import cost, price
+from masat.robust.objective import cost, of_run, price
 
 # Runs tried at the most, and the fewest rejected closures in one that is worth a trial.
 _MAX_TRIALS, _MIN_AGREEING = 4, 2
 # Believed runs that are longer are not taken out; and it takes as many plausible closures that are
 # rejected to doubt believed ones.
 _MAX_FALSE_RUN, _MIN_BLOCKED = 40, 5
+# Squared distance, in prices of a group, beyond which adding it is not tried.
+_MAX_EXCESS = 10.0
 _LOWER = 1e-6
 
 
@@ -51,7 +53,7 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
         into, run = move
         tried.add(move)
         trials[into] -= 1
-        members = np.flatnonzero((growth.runs == run) & (growth.kept != into))
+        members = np.flatnonzero((growth.spokesman == run) & (growth.kept != into))
         progress.tell(f"trying {len(members)} loop closures {'in' if into else 'out'}")
         if not into and int(np.count_nonzero(growth.candidates)) <= len(members):
             continue
@@ -87,18 +89,32 @@ def _next_move(
     trials: dict[bool, int],
 ) -> tuple[bool, int] | None:
     """Return the next run to force in (True) or out (False): the largest not tried, in first."""
-    blocked = ~growth.kept & growth.supported & (first < GATE[closures.graph.dof])
+    group = growth.spokesman
+    gate = GATE[closures.graph.dof]
+    size = np.bincount(group, minlength=len(closures))
+    kept = np.bincount(group[growth.kept], minlength=len(closures))
+    # A true group is one that the trusted edges allow. With a map that it contradicts far beyond
+    # its price, it fits only if another one is taken out first.
+    allowed = np.bincount(group[first < gate], minlength=len(closures)) * 2 > size
+    blocked = ~growth.kept & growth.supported & (first < gate)
     conflict = int(np.count_nonzero(blocked)) >= _MIN_BLOCKED
-    for into, chosen in ((True, ~growth.kept), (False, growth.kept & conflict)):
-        count = np.bincount(growth.runs[chosen], minlength=1)
+    chi2 = growth.chi2[closures.edges]
+    excess = np.bincount(group, np.where(growth.kept, chi2 - closures.graph.dof, 0.0))
+    for into in (True, False):
         if into:
-            # A true run is one that the trusted edges allow.
-            count[growth.runs[first > GATE[closures.graph.dof]]] = 0
-        if not into:
-            count[count > _MAX_FALSE_RUN] = 0
-        for run in np.argsort(-count, kind="stable").tolist():
-            if trials[into] == 0 or count[run] < _MIN_AGREEING:
+            nearest = np.full(len(closures), np.inf)
+            np.minimum.at(nearest, group, np.where(growth.kept, np.inf, growth.distance))
+            near = nearest < _MAX_EXCESS * of_run(closures, np.maximum(size - kept, 1))
+            possible = np.flatnonzero((size - kept >= _MIN_AGREEING) & allowed & near)
+            order = possible[np.argsort(kept[possible] - size[possible], kind="stable")]
+        else:
+            possible = np.flatnonzero((kept >= _MIN_AGREEING) & (size > 1) & conflict)
+            # A group that was split, or that fits badly, is the most doubtful.
+            doubt = np.lexsort((-excess[possible], kept[possible] == size[possible]))
+            order = possible[doubt]
+        for one in order.tolist():
+            if trials[into] == 0:
                 break
-            if (into, run) not in tried:
-                return into, run
+            if (into, one) not in tried:
+                return into, one
     return None

@@ -21,10 +21,11 @@ def price(closures: Closures, rejected: Flags) -> float:
     """
     count = np.bincount(closures.clusters[rejected])
     runs, rest = np.divmod(count, _RUN)
-    return float((runs * _of_run(closures, _RUN)).sum() + _of_run(closures, rest[rest > 0]).sum())
+    return float((runs * of_run(closures, _RUN)).sum() + of_run(closures, rest[rest > 0]).sum())
 
 
-def _of_run(closures: Closures, count: Any) -> Any:
+def of_run(closures: Closures, count: Any) -> Any:
+    """Return the price of runs of so many closures."""
     dof = closures.graph.dof
     return GATE[dof] + 2 * dof * (np.asarray(count) - 1)
 
