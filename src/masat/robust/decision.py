@@ -150,7 +150,7 @@ def _decided(closures: Closures, scale: float, progress: Progress) -> Decision:
     first = growth.distance.copy()
     try:
         growth.grow()
-        growth = improve(closures, growth, first, progress)
+        growth = improve(closures, growth, first, progress).growth
         growth.describe()
     except KeyboardInterrupt:
         progress.interrupt()

@@ -75,8 +75,8 @@ class Growth:
 
     def grow(self) -> None:
         """Believe closures until the map predicts no other."""
-        predicted = self.kept.copy()
         fresh = not self.kept.any()
+        predicted = np.zeros_like(self.kept)
         for _ in range(_MAX_ROUNDS):
             if self._progress.over:
                 return

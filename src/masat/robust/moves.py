@@ -1,32 +1,63 @@
-"""Runs of rejected closures are forced into a map, or out of it, where that lowers the cost."""
+"""Groups of closures are tried in a map, or taken out of it, where that lowers the cost."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 import numpy as np
 
-from masat.arrays import Floats, Ids
+from masat.arrays import Flags, Floats, Ids
 from masat.progress import Progress
 from masat.robust.closures import GATE, Closures
 from masat.robust.growth import Growth
-from masat.robust.objective import cost, of_run, price
+from masat.robust.objective import cost, of_run
 
-# Runs tried at the most, and the fewest rejected closures in one that is worth a trial.
-_MAX_TRIALS, _MIN_AGREEING = 4, 2
-# Believed runs that are longer are not taken out; and it takes as many plausible closures that are
-# rejected to doubt believed ones.
-_MAX_FALSE_RUN, _MIN_BLOCKED = 40, 5
-# Squared distance, in prices of a group, beyond which adding it is not tried.
-_MAX_EXCESS = 10.0
+# Trials without success after which no other is made.
+_MAX_TRIALS = {True: 8, False: 4}
+# It takes as many plausible closures that are rejected to doubt kept ones.
+_MIN_BLOCKED = 5
+# Squared distance, in prices of a group, beyond which adding it is not tried; and in gates, beyond
+# which the trusted edges alone exclude it.
+_MAX_EXCESS, _MAX_DRIFT = 10.0, 10.0
 _LOWER = 1e-6
 
 
-def improve(closures: Closures, growth: Growth, first: Floats, progress: Progress) -> Growth:
-    """Return a growth of lower cost, by forcing rejected runs in and believed ones out.
+class Move(NamedTuple):
+    """A group of closures to add to the map (`into`) or to take out of it."""
 
-    A run of closures that agree with each other may have been blocked by another one that was
+    into: bool
+    group: int
+
+
+class Decided(NamedTuple):
+    """The map of the lowest cost, and the other one that came nearest.
+
+    Attributes
+    ----------
+    growth : Growth
+        The map of the lowest cost.
+    cost : float
+        Its cost.
+    other : ndarray of bool, (c,), or None
+        The closures that the second best hypothesis keeps.
+    other_cost : float
+        Its cost; infinite without one.
+    """
+
+    growth: Growth
+    cost: float
+    other: Flags | None
+    other_cost: float
+
+
+def improve(closures: Closures, growth: Growth, first: Floats, progress: Progress) -> Decided:
+    """Return a growth of lower cost, by adding rejected groups and taking out kept ones.
+
+    A group of closures that agree with each other may have been blocked by another one that was
     believed first. It is believed at once, what then is far beyond its information is dropped, and
-    the map grows on. Where closures that the trusted edges alone allow are still rejected, believed
-    runs are taken out in the same way. A change is kept if the cost falls.
+    the map grows on. Where closures that the trusted edges alone allow are still rejected, kept
+    groups are taken out in the same way. A change is kept if the cost falls.
 
     Parameters
     ----------
@@ -41,80 +72,86 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
 
     Returns
     -------
-    Growth
+    Decided
     """
-    lowest = cost(closures, growth.kept, growth.chi2)
-    tried: set[tuple[bool, int]] = set()
-    trials = {True: _MAX_TRIALS, False: _MAX_TRIALS}
+    best = Decided(growth, cost(closures, growth.kept, growth.chi2), None, np.inf)
+    tried: set[Move] = set()
+    left = dict(_MAX_TRIALS)
     while not progress.over:
-        move = _next_move(closures, growth, first, tried, trials)
+        open_moves = (
+            move for move in _moves(closures, best.growth, first) if move not in tried
+        )
+        move = next((move for move in open_moves if left[move.into]), None)
         if move is None:
             break
-        into, run = move
         tried.add(move)
-        trials[into] -= 1
-        members = np.flatnonzero((growth.spokesman == run) & (growth.kept != into))
-        progress.tell(f"trying {len(members)} loop closures {'in' if into else 'out'}")
-        if not into and int(np.count_nonzero(growth.candidates)) <= len(members):
+        left[move.into] -= 1
+        trial = _made(closures, best, move, progress)
+        if trial is None:
             continue
-        trial = growth.copy()
-        if not _is_promising(closures, trial, into, members, lowest):
-            continue
-        trial.grow()
         found = cost(closures, trial.kept, trial.chi2)
-        if found < lowest * (1 - _LOWER):
-            growth, lowest = trial, found
+        if found < best.cost * (1 - _LOWER):
+            # Its rival is the map that it replaces, unless that came from the same mistake.
+            best = Decided(trial, found, best.growth.kept, best.cost)
             # What was refused may be right beside the new map.
-            tried = {move}
-    return growth
+            tried, left = {move}, dict(_MAX_TRIALS)
+        elif found < best.other_cost and (trial.kept != best.growth.kept).any():
+            best = best._replace(other=trial.kept, other_cost=found)
+    return best
 
 
-def _is_promising(
-    closures: Closures, trial: Growth, into: bool, members: Ids, lowest: float
-) -> bool:
-    """Make a move, and return whether it is worth the growth that follows."""
-    if into:
+def _made(closures: Closures, best: Decided, move: Move, progress: Progress) -> Growth | None:
+    """Return the map after a move, grown if that can pay; None if it is not worth a look."""
+    growth = best.growth
+    members = np.flatnonzero((growth.spokesman == move.group) & (growth.kept != move.into))
+    progress.tell(f"trying {len(members)} loop closures {'in' if move.into else 'out'}")
+    trial = growth.copy()
+    if move.into:
         trial.believe(members, rough=True)
-        left = cost(closures, trial.kept, trial.chi2) - lowest
-        return left < price(closures, np.isin(np.arange(len(closures)), members))
+        before, rejected = int(growth.kept.sum()), ~trial.kept
+        excess = cost(closures, trial.kept, trial.chi2) - best.cost
+        if excess > of_run(closures, len(members)):
+            return None
+        trial.grow()
+        # A closure that only pays for itself may be false: others have to follow.
+        others = int(trial.kept.sum()) - before - len(members)
+        return trial if len(members) > 1 or others > 0 or not rejected.any() else None
+    if int(np.count_nonzero(growth.candidates)) <= len(members):
+        return None
     trial.disbelieve(members)
-    return trial.count_likely() > len(members)
+    if trial.count_likely() > len(members):
+        trial.grow()
+    return trial
 
 
-def _next_move(
-    closures: Closures,
-    growth: Growth,
-    first: Floats,
-    tried: set[tuple[bool, int]],
-    trials: dict[bool, int],
-) -> tuple[bool, int] | None:
-    """Return the next run to force in (True) or out (False): the largest not tried, in first."""
+def _moves(closures: Closures, growth: Growth, first: Floats) -> Iterator[Move]:
+    """Yield the moves that may lower the cost, the most likely first."""
+    count, gate = len(closures), GATE[closures.graph.dof]
     group = growth.spokesman
-    gate = GATE[closures.graph.dof]
-    size = np.bincount(group, minlength=len(closures))
-    kept = np.bincount(group[growth.kept], minlength=len(closures))
+    size = np.bincount(group, minlength=count)
+    kept = np.bincount(group[growth.kept], minlength=count)
+    rejected = size - kept
     # A true group is one that the trusted edges allow. With a map that it contradicts far beyond
     # its price, it fits only if another one is taken out first.
-    allowed = np.bincount(group[first < gate], minlength=len(closures)) * 2 > size
+    allowed = np.bincount(group[first < _MAX_DRIFT * gate], minlength=count) * 2 > size
+    nearest = np.full(count, np.inf)
+    np.minimum.at(nearest, group, np.where(growth.kept, np.inf, growth.distance))
+    near = nearest < _MAX_EXCESS * of_run(closures, np.maximum(rejected, 1))
+    possible = np.flatnonzero((rejected > 0) & allowed & near)
+    ratio = np.full(count, -np.inf)
+    np.maximum.at(ratio, group, np.where(growth.kept, -np.inf, growth.log_ratio))
+    for one in _sorted(possible, -rejected, -ratio):
+        yield Move(True, one)
     blocked = ~growth.kept & growth.supported & (first < gate)
-    conflict = int(np.count_nonzero(blocked)) >= _MIN_BLOCKED
+    if np.count_nonzero(blocked) < _MIN_BLOCKED:
+        return
     chi2 = growth.chi2[closures.edges]
-    excess = np.bincount(group, np.where(growth.kept, chi2 - closures.graph.dof, 0.0))
-    for into in (True, False):
-        if into:
-            nearest = np.full(len(closures), np.inf)
-            np.minimum.at(nearest, group, np.where(growth.kept, np.inf, growth.distance))
-            near = nearest < _MAX_EXCESS * of_run(closures, np.maximum(size - kept, 1))
-            possible = np.flatnonzero((size - kept >= _MIN_AGREEING) & allowed & near)
-            order = possible[np.argsort(kept[possible] - size[possible], kind="stable")]
-        else:
-            possible = np.flatnonzero((kept >= _MIN_AGREEING) & (size > 1) & conflict)
-            # A group that was split, or that fits badly, is the most doubtful.
-            doubt = np.lexsort((-excess[possible], kept[possible] == size[possible]))
-            order = possible[doubt]
-        for one in order.tolist():
-            if trials[into] == 0:
-                break
-            if (into, one) not in tried:
-                return into, one
-    return None
+    excess = np.bincount(group, np.where(growth.kept, chi2 - closures.graph.dof, 0.0), count)
+    # A group that was split, or that fits badly, is the most doubtful.
+    for one in _sorted(np.flatnonzero((kept > 0) & (size > 1)), rejected == 0, -excess):
+        yield Move(False, one)
+
+
+def _sorted(groups: Ids, first: Floats | Ids | Flags, then: Floats) -> list[int]:
+    order: list[int] = groups[np.lexsort((then[groups], first[groups]))].tolist()
+    return order
