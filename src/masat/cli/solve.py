@@ -187,16 +187,34 @@ def _closures(result: Result) -> list[tuple[str, str]]:
     table, decision = result.closures, result.decision
     kept = int(table["kept"].sum())
     said = f"{kept} of {len(table)} kept; cost {decision.cost:.6g}"
-    if decision.scale != 1:
-        said += f"; covariances of the closures {decision.scale:.3g} times what they say"
     rows = [("loop closures", said)]
-    for reason in sorted(set(table["reason"][~table["kept"]].tolist())):
-        own = table[table["reason"] == reason]
+    for name, scale, used in zip(
+        ("trusted edges", "loop closures"), decision.scales, decision.used, strict=True
+    ):
+        if scale is not None:
+            judged = "" if used == 1 else f", judged with {used:.3g}"
+            rows.append(("scale", f"covariances of {name} {scale:.3g} times what they say{judged}"))
+    rejected = table[~table["kept"]]
+    kinds = [reason.partition(" cluster ")[0] for reason in rejected["reason"].tolist()]
+    for kind in sorted(set(kinds)):
+        own = rejected[[other == kind for other in kinds]]
         shown = ", ".join(
             f"{a} -> {b}" for a, b in zip(own["from"][:3], own["to"][:3], strict=True)
         )
+        reason = own["reason"][0] if len(set(own["reason"].tolist())) == 1 else kind
+        if reason == "contradicts":
+            reason = "contradicts a larger cluster"
         rows.append(
             ("rejected", f"{len(own)}: {reason} ({shown}{', ...' if len(own) > 3 else ''})")
+        )
+    if decision.rival is not None:
+        keeps = int((decision.rival.kept & ~decision.kept).sum())
+        rejects = int((decision.kept & ~decision.rival.kept).sum())
+        rows.append(
+            (
+                "nearly as likely",
+                f"cost {decision.rival.cost:.6g}: {keeps} more kept, {rejects} more rejected",
+            )
         )
     return rows
 

@@ -175,7 +175,13 @@ class Result:
             "loss": self.loss,
             "robust_cost": self.robust_cost,
             "decision": self.decision
-            and {"cost": self.decision.cost, "scale": self.decision.scale},
+            and {
+                "cost": self.decision.cost,
+                "scales": self.decision.scales,
+                "used": self.decision.used,
+                "released": self.decision.released.tolist(),
+                "rival_cost": self.decision.rival and self.decision.rival.cost,
+            },
             "notes": graph.notes,
         }
         optional: dict[str, Any] = {
@@ -183,6 +189,7 @@ class Result:
             "weights": self.weights,
             "kept": self.kept,
             "closures": self.closures,
+            "rival_kept": self.decision and self.decision.rival and self.decision.rival.kept,
         }
         buffer = io.BytesIO()
         np.savez_compressed(
@@ -258,15 +265,20 @@ def _certificate(saved: dict[str, Any] | None) -> Certificate | None:
     return Certificate(**{name: saved[name] for name in names}, better=None)
 
 
-def _decision(saved: dict[str, float] | None, arrays: Any) -> Decision | None:
-    from masat.robust.decision import Decision
+def _decision(saved: dict[str, Any] | None, arrays: Any) -> Decision | None:
+    from masat.robust.decision import Decision, Rival
+    from masat.robust.redundancy import Scales
 
     if saved is None:
         return None
+    cost = saved["rival_cost"]
     return Decision(
         kept=locked(arrays["kept"]),
         closures=locked(arrays["closures"]),
         cost=saved["cost"],
-        scale=saved["scale"],
+        scales=Scales(*saved["scales"]),
+        used=Scales(*saved["used"]),
+        released=locked(np.array(saved["released"], np.int64)),
+        rival=None if cost is None else Rival(locked(arrays["rival_kept"]), cost),
         poses=locked(arrays["poses"]),
     )

@@ -19,6 +19,8 @@ REACH = 10
 # freedom.
 GATE = {3: 16.27, 6: 22.46}
 FAR_GATE = {3: 25.90, 6: 33.11}
+# Lower quartile of chi2.
+QUARTILE = {3: 1.213, 6: 3.455}
 
 
 class Closures:

@@ -1,43 +1,45 @@
-"""The decision which closures to keep, and why the others are rejected."""
+"""The decision which closures to keep."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from masat.arrays import AnyArray, Flags, Floats, locked
-from masat.errors import InitializationError, OptimizationError
+from masat.arrays import AnyArray, Flags, Floats, Ids, locked
 from masat.graph import PoseGraph
 from masat.progress import Progress
-from masat.robust.closures import GATE, Closures
-from masat.robust.growth import Growth
-from masat.robust.moves import improve
+from masat.residuals import chi2_per_edge
+from masat.robust.closures import FAR_GATE, GATE, Closures
+from masat.robust.hypothesis import Hypothesis, best_scaled
 from masat.robust.objective import cost
-from masat.robust.prediction import agreement
+from masat.robust.parts import joining_closures
+from masat.robust.redundancy import Scales
+from masat.robust.slips import suspected_slip
+from masat.robust.table import table_of, table_of_fit
+from masat.robust.whole import Fit, fit_of_all
 
-# Quartiles of chi2 for 3 and 6 degrees of freedom: the lower one and the median.
-_QUARTILE, _MEDIAN = {3: 1.213, 6: 3.455}, {3: 2.366, 6: 5.348}
-# The information of the closures is rescaled where it seems off by more than this factor.
-# At most by the second at once.
-_MAX_SCALE_ERROR, _MAX_FACTOR = 4.0, 100.0
-_MIN_COUNT, _MAX_SCALES = 10, 3
+# Trusted edges that may be released, and the gates that one has to save.
+_MAX_RELEASED, _PRICE_OF_RELEASE = 5, 4.0
+# A rival whose cost is higher by no more than so many gates is near.
+_NEAR_RIVAL = 2.0
 
-_TABLE = np.dtype(
-    [
-        ("edge", np.int64),
-        ("from", np.int64),
-        ("to", np.int64),
-        ("kept", np.bool_),
-        ("chi2", np.float64),
-        ("distance", np.float64),
-        ("log_ratio", np.float64),
-        ("cluster", np.int64),
-        ("reason", "U60"),
-    ]
-)
+
+class Rival(NamedTuple):
+    """Another hypothesis that is nearly as likely.
+
+    Attributes
+    ----------
+    kept : ndarray of bool, (m,)
+        The edges that it keeps.
+    cost : float
+        Its cost.
+    """
+
+    kept: Flags
+    cost: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,19 +49,26 @@ class Decision:
     Attributes
     ----------
     kept : ndarray of bool, (m,)
-        Which edges of the graph are kept; the trusted ones always are.
+        Which edges of the graph are kept: the trusted ones, unless they are released, and those
+        closures that are believed.
     closures : structured ndarray, (c,)
-        A row for each edge that is not trusted: `edge` (its index), `from`, `to`, `kept`, `chi2`
-        (in the final map, with the information given), `distance` (squared Mahalanobis distance
-        from the prediction, with the scaled information; NaN for kept ones), `log_ratio`
-        (logarithm of the likelihood ratio against a false closure; NaN for kept ones), `cluster`
-        (closures of one place that agree), `reason`.
+        A row for each edge that was not trusted or is so no longer: `edge` (its index), `from`,
+        `to`, `kept`, `chi2` (in the map, with the information given), `distance` (squared
+        Mahalanobis distance from the prediction, with the information as it was judged; NaN for
+        kept ones), `log_ratio` (logarithm of the likelihood ratio against a false closure; NaN for
+        kept ones), `cluster` (closures of one place that agree), `reason`.
     cost : float
-        chi2 of the trusted edges and of the kept closures, with the scaled information, and the
-        price of the rejected ones (`masat.robust.objective`).
-    scale : float
-        The estimated factor by which the covariances of the closures exceed what their information
-        says; 1 if it seems right.
+        chi2 of the trusted edges and of the kept closures, with the information as it was judged,
+        and the price of the rejected ones (`masat.robust.objective`).
+    scales : Scales
+        Estimates of the factors by which the covariances of the trusted edges and of the kept
+        closures exceed what their information says. None where too few other edges check them.
+    used : Scales
+        The factors with which the closures were judged; 1 unless the information was far off.
+    released : ndarray of int64
+        Indices of trusted edges that all closures across them contradict, and that are not kept.
+    rival : Rival or None
+        Another hypothesis, if its cost is not much higher.
     poses : ndarray, (n, 3) or (n, 7)
         The map of the decision, near its minimum.
     """
@@ -67,7 +76,10 @@ class Decision:
     kept: Flags
     closures: AnyArray
     cost: float
-    scale: float
+    scales: Scales
+    used: Scales
+    released: Ids
+    rival: Rival | None
     poses: Floats
 
     def __repr__(self) -> str:
@@ -77,11 +89,20 @@ class Decision:
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON says of a decision."""
         rejected = self.closures[~self.closures["kept"]]
+        rival = self.rival
         return {
             "closures": len(self.closures),
             "kept": int(self.closures["kept"].sum()),
             "cost": self.cost,
-            "scale": self.scale,
+            "scales": self.scales._asdict(),
+            "used_scales": self.used._asdict(),
+            "released": self.released.tolist(),
+            "rival": rival
+            and {
+                "cost": rival.cost,
+                "keeps": np.flatnonzero(rival.kept & ~self.kept).tolist(),
+                "rejects": np.flatnonzero(self.kept & ~rival.kept).tolist(),
+            },
             "rejected": [
                 {
                     name: row[name].item()
@@ -100,10 +121,11 @@ def decide(
 ) -> Decision:
     """Decide which loop closures of a graph to believe.
 
-    A map grows from the trusted edges by the closures that it predicts best (`growth.Growth`); then
-    whole clusters are added or taken out where that lowers the cost (`moves.improve`). If the
-    information of the closures seems wrong by a common factor, it is rescaled, and the decision
-    with the lower cost counts.
+    If all closures fit together but for a few outliers, they are kept (`whole.fit_of_all`).
+    Otherwise a map grows from the trusted edges by the closures that it predicts best
+    (`growth.Growth`); then groups of closures are added or taken out where that lowers the cost
+    (`moves.improve`). If the information of the trusted edges or of the closures is off by a common
+    factor, this is repeated with another one, and the decision of the lowest cost counts.
 
     Parameters
     ----------
@@ -111,6 +133,7 @@ def decide(
         The graph; its poses do not count.
     trusted : array_like of bool, (m,), optional
         The edges to trust. Default: odometry, the first edge of each pair of consecutive ids.
+        Parts that they leave unconnected are joined by the closures that agree with most others.
     progress : Progress, optional
         What reports the stages and limits the time.
 
@@ -121,113 +144,70 @@ def decide(
     Raises
     ------
     OptimizationError
-        If no edge is trusted, or the trusted edges do not connect the graph.
+        If no edge is trusted, or the mask has another shape.
     """
     progress = progress or Progress()
     closures = Closures(graph, trusted)
-    _check_connected(closures)
-    best = last = _decided(closures, 1.0, progress)
-    for _ in range(_MAX_SCALES):
-        factor = _scale_error(closures, last)
-        if factor == 1.0 or progress.over:
+    progress.tell("comparing all loop closures with each other")
+    fit = fit_of_all(closures)
+    if fit is not None:
+        return _decision_of_fit(closures, fit)
+    joined = closures.trusted.copy()
+    joined[joining_closures(closures)] = True
+    best = best_scaled(graph, joined, progress)
+    trusting = closures.trusted.copy()
+    for _ in range(_MAX_RELEASED):
+        slip = suspected_slip(best.closures, best.growth)
+        if slip is None or progress.over:
             break
-        scale = last.scale * factor
-        progress.tell(f"trying closures with {scale:.3g} times their covariance")
-        scaled = Closures(_rescaled(graph, closures, scale), closures.trusted)
-        try:
-            last = _decided(scaled, scale, progress)
-        except KeyboardInterrupt:
-            progress.interrupt()
+        a, b = graph.edges[slip]
+        progress.tell(f"trying without the trusted edge {a} -> {b}")
+        trusting[slip] = False
+        rest = trusting.copy()
+        rest[joining_closures(Closures(graph, rest))] = True
+        without = best_scaled(graph, rest, progress)
+        if without.cost + _PRICE_OF_RELEASE * FAR_GATE[graph.dof] > best.cost:
             break
-        except (OptimizationError, InitializationError):
-            break
-        best = min(best, last, key=lambda decision: decision.cost)
-    return best
+        best = without
+    return _decision(best, closures.trusted, progress.over)
 
 
-def _decided(closures: Closures, scale: float, progress: Progress) -> Decision:
-    growth = Growth(closures, progress)
-    first = growth.distance.copy()
-    try:
-        growth.grow()
-        growth = improve(closures, growth, first, progress).growth
-        growth.describe()
-    except KeyboardInterrupt:
-        progress.interrupt()
-    chi2 = growth.chi2
-    total = cost(closures, growth.kept, chi2)
-    # The likelihood of the kept closures also has their wider covariances.
-    total += closures.graph.dof * np.log(scale) * int(growth.kept.sum())
-    table = np.empty(len(closures), _TABLE)
-    table["edge"] = closures.edges
-    table["from"], table["to"] = closures.graph.edges[closures.edges].T
-    table["kept"] = growth.kept
-    table["chi2"] = chi2[closures.edges] * scale
-    table["distance"] = np.where(growth.kept, np.nan, growth.distance)
-    table["log_ratio"] = np.where(growth.kept, np.nan, growth.log_ratio)
-    table["cluster"] = growth.runs
-    table["reason"] = _reasons(closures, growth, first)
-    if progress.over:
-        table["reason"][~growth.kept] = "not judged: the time was over"
+def _decision_of_fit(closures: Closures, fit: Fit) -> Decision:
+    kept, poses = fit.kept, fit.graph.poses
+    assert poses is not None
+    chi2 = chi2_per_edge(closures.graph, poses)
     return Decision(
-        kept=locked(closures.kept_edges(growth.kept)),
-        closures=locked(table),
-        cost=total,
-        scale=scale,
+        kept=locked(closures.kept_edges(kept)),
+        closures=locked(table_of_fit(closures, kept, fit.graph)),
+        cost=cost(closures, kept, chi2),
+        scales=fit.scales,
+        used=Scales(1.0, 1.0),
+        released=locked(np.empty(0, np.int64)),
+        rival=None,
+        poses=locked(poses),
+    )
+
+
+def _decision(best: Hypothesis, trusted: Flags, interrupted: bool) -> Decision:
+    closures, growth = best.closures, best.growth
+    kept = closures.kept_edges(growth.kept)
+    return Decision(
+        kept=locked(kept),
+        closures=locked(table_of(best, trusted, interrupted=interrupted)),
+        cost=best.cost,
+        scales=best.scales,
+        used=best.used,
+        released=locked(np.flatnonzero(trusted & ~kept)),
+        rival=_rival(best),
         poses=locked(growth.poses),
     )
 
 
-def _reasons(closures: Closures, growth: Growth, first: Floats) -> AnyArray:
-    """Return why each closure is kept or rejected, (c,)."""
-    gate = GATE[closures.graph.dof]
-    reasons = np.full(len(closures), "kept", "U60")
-    rejected = ~growth.kept
-    within = growth.distance < gate
-    reasons[rejected] = "contradicts the trusted edges"
-    reasons[rejected & (first < gate)] = "contradicts the closures that are kept"
-    reasons[rejected & within] = "undecided: as likely false as true"
-    reasons[rejected & within & ~growth.supported] = "unsupported: no other closure agrees with it"
-    return reasons
-
-
-def _scale_error(closures: Closures, decision: Decision) -> float:
-    """Return a factor by which the closures' covariances seem wrong in a decision, or 1."""
-    dof, table = closures.graph.dof, decision.closures
-    kept = table["kept"]
-    between = agreement(closures, decision.poses) / decision.scale
-    if int(kept.sum()) >= max(_MIN_COUNT, len(closures) // 2):
-        factor = float(np.median(table["chi2"][kept])) / _MEDIAN[dof] / decision.scale
-        # A closure of a long loop fits almost by itself: only if others of its place agree as well.
-        if factor < 1 and len(between) >= _MIN_COUNT:
-            factor = max(factor, float(np.median(between)) / _MEDIAN[dof])
-        elif factor < 1:
-            return 1.0
-    elif len(between) >= _MIN_COUNT:
-        # Few were believed: perhaps since their information is too large.
-        factor = max(1.0, float(np.quantile(between, 0.25)) / _QUARTILE[dof])
-    else:
-        return 1.0
-    factor = float(np.clip(factor, 1 / _MAX_FACTOR, _MAX_FACTOR))
-    return factor if max(factor, 1 / factor) > _MAX_SCALE_ERROR else 1.0
-
-
-def _rescaled(graph: PoseGraph, closures: Closures, scale: float) -> PoseGraph:
-    information = graph.information.copy()
-    information[closures.edges] /= scale
-    return replace(graph, information=information)
-
-
-def _check_connected(closures: Closures) -> None:
-    graph = closures.graph
-    trusted = graph.without_edges(~closures.trusted)
-    labels, whole = trusted.components, graph.components
-    if labels.max() == whole.max():
-        return
-    i, j = closures.ends.T
-    k = int(np.flatnonzero(labels[i] != labels[j])[0])
-    a, b = graph.ids[closures.ends[k]]
-    raise OptimizationError(
-        f"the trusted edges leave {labels.max() + 1} parts without a connection, such as those of "
-        f"nodes {a} and {b}: closures between them cannot be judged; trust an edge between them"
-    )
+def _rival(best: Hypothesis) -> Rival | None:
+    other, closures = best.decided.other, best.closures
+    if other is None or (other == best.growth.kept).all():
+        return None
+    total = best.decided.other_cost + best.price_of_scales
+    if total > best.cost + _NEAR_RIVAL * GATE[closures.graph.dof]:
+        return None
+    return Rival(locked(closures.kept_edges(other)), total)

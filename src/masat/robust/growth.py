@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from masat import _core
 from masat.arrays import Flags, Floats, Ids, Indices
 from masat.graph import PoseGraph
 from masat.initializers import guess_of
@@ -14,12 +15,13 @@ from masat.residuals import chi2_per_edge
 from masat.robust.closures import FAR_GATE, GATE, REACH, Closures, connected
 from masat.robust.prediction import agreement, predict, predict_by_odometry
 
-# A closure that no other supports needs a larger likelihood ratio, in logarithms.
-_MIN_RATIO, _MIN_RATIO_ALONE = 1.0, 6.0
+# Likelihood ratios, in logarithms: that of a closure which others support, and how much more one
+# alone needs than the number of such closures, while the map grows and in the end.
+_MIN_RATIO, _ODDS_ALONE, _FINAL_ODDS = 1.0, 3.0, 1.5
 _TOLERANCE, _ITERATIONS, _ROUGH_ITERATIONS = 1e-5, 30, 8
-_MAX_ROUNDS, _MAX_REFINEMENTS = 200, 5
+_MAX_ROUNDS, _MAX_STALLS, _MAX_REFINEMENTS = 100, 8, 5
 # Nodes from an end of a new closure within which predictions are made again at once.
-_NEAR = 5 * REACH
+NEAR = 5 * REACH
 # A group of new closures is dropped if more than this fraction of it has to be.
 _MAX_LOST = 0.3
 # So small a fraction of the kept closures is believed in one round.
@@ -53,14 +55,16 @@ class Growth:
         self.kept: Flags = np.zeros(count, np.bool_)
         self.banned: Flags = np.zeros(count, np.bool_)
         self.refused: Flags = np.zeros(count, np.bool_)
+        self.equations: _core.NormalEquations = normal_equations(self.map)
         self._set_map()
-        self.distance, self.log_ratio = predict_by_odometry(closures, self.map)
-        agree = closures.pairs[agreement(closures, self.poses) < GATE[closures.graph.dof]]
+        self.distance, self.log_ratio = predict_by_odometry(closures, self.map, np.arange(count))
+        pairs = closures.pairs
+        agree = pairs[agreement(closures, self.poses, pairs) < GATE[closures.graph.dof]]
         self.supported: Flags = np.zeros(count, np.bool_)
         self.supported[agree.ravel()] = True
         # Closures that agree, by way of others: they are likely all true or all false.
         self.runs: Indices = connected(count, agree)
-        self.spokesman = _spokesmen(count, agree)
+        self.spokesman = spokesmen(count, agree)
 
     @property
     def poses(self) -> Floats:
@@ -76,7 +80,7 @@ class Growth:
     def grow(self) -> None:
         """Believe closures until the map predicts no other."""
         fresh = not self.kept.any()
-        predicted = np.zeros_like(self.kept)
+        predicted, stalls = np.zeros_like(self.kept), 0
         for _ in range(_MAX_ROUNDS):
             if self._progress.over:
                 return
@@ -89,9 +93,10 @@ class Growth:
                 self.believe(new)
                 self._predict_runs(self._near(new) & self.supported)
                 fresh = False
-            elif fresh or not (self.kept & ~predicted).any():
+            elif fresh or stalls == _MAX_STALLS or not (self.kept & ~predicted).any():
                 break
             else:
+                stalls += 1
                 # The map has changed, so that what did not fit may do so now.
                 predicted = self.kept.copy()
                 self.refused[:] = False
@@ -106,7 +111,7 @@ class Growth:
         A rough map is enough to see whether closures fit.
         """
         iterations = _ROUGH_ITERATIONS if rough else _ITERATIONS
-        before = self.kept.copy(), self.map, self._equations
+        before = self.kept.copy(), self.map, self.equations
         try:
             self.kept[new] = True
             self._set_map(iterations)
@@ -122,7 +127,7 @@ class Growth:
                 self._set_map(iterations)
         except BaseException:
             # What was not checked is not believed.
-            self.kept, self.map, self._equations = before
+            self.kept, self.map, self.equations = before
             raise
 
     def disbelieve(self, old: Ids) -> None:
@@ -141,9 +146,14 @@ class Growth:
         """Closures that others support and that the map may come to believe, (c,)."""
         return ~self.kept & ~self.banned & self.supported & ~self._hopeless
 
-    def describe(self) -> None:
-        """Predict all closures that are not kept."""
+    def finish(self) -> None:
+        """Predict all closures that are not kept, and believe the likely ones among them."""
         self._predict(np.flatnonzero(~self.kept))
+        likely = self._likely(_FINAL_ODDS)
+        if len(likely):
+            self.believe(likely)
+            self._refine()
+            self._predict(np.flatnonzero(~self.kept))
 
     @property
     def _hopeless(self) -> Flags:
@@ -158,11 +168,13 @@ class Growth:
             setattr(other, name, getattr(self, name).copy())
         return other
 
-    def _likely(self) -> Ids:
+    def _likely(self, odds: float = _ODDS_ALONE) -> Ids:
         """Return the closures to believe next, the most likely first."""
-        needed = np.where(self.supported, _MIN_RATIO, _MIN_RATIO_ALONE)
-        within = self.distance < GATE[self._closures.graph.dof]
         free = ~(self.kept | self.banned | self.refused)
+        # The more closures there are, the more likely a false one fits by chance.
+        alone = np.log(max(int(np.count_nonzero(~self.kept & ~self.supported)), 1)) + odds
+        needed = np.where(self.supported, _MIN_RATIO, alone)
+        within = self.distance < GATE[self._closures.graph.dof]
         likely = np.flatnonzero(free & within & (self.log_ratio > needed))
         return likely[np.argsort(-self.log_ratio[likely], kind="stable")]
 
@@ -170,15 +182,16 @@ class Growth:
         """Return the closures near new ones that are not hopeless, (c,)."""
         n = len(self._closures.graph)
         ends = self._closures.ends[new].ravel()
-        begun = np.bincount(np.maximum(ends - _NEAR, 0), minlength=n + 1)
-        ended = np.bincount(np.minimum(ends + _NEAR + 1, n), minlength=n + 1)
+        begun = np.bincount(np.maximum(ends - NEAR, 0), minlength=n + 1)
+        ended = np.bincount(np.minimum(ends + NEAR + 1, n), minlength=n + 1)
         touched = np.cumsum(begun - ended)[:n] > 0
-        here: Flags = touched[self._closures.ends].any(axis=1)
-        return ~self.kept & here & ~self._hopeless
+        here = np.any(touched[self._closures.ends], axis=1)
+        near: Flags = ~self.kept & here & ~self._hopeless
+        return near
 
     def _predict(self, chosen: Ids) -> None:
         if len(chosen):
-            found = predict(self._closures, self.map, chosen, self._equations)
+            found = predict(self._closures, self.map, chosen, self.equations)
             self.distance[chosen], self.log_ratio[chosen] = found
 
     def _predict_runs(self, which: Flags) -> None:
@@ -204,18 +217,18 @@ class Growth:
     def _set_map(self, iterations: int = _ITERATIONS) -> None:
         """Optimize the trusted edges and the kept closures."""
         graph = self._closures.graph_with(self.kept, self.poses)
-        self._equations = normal_equations(graph)
+        self.equations = normal_equations(graph)
         result = optimize(
             graph,
             "dogleg",
             max_iterations=iterations,
             relative_tolerance=_TOLERANCE,
-            equations=self._equations,
+            equations=self.equations,
         )
         self.map = result.graph
 
 
-def _spokesmen(count: int, agree: Ids) -> Ids:
+def spokesmen(count: int, agree: Ids) -> Ids:
     """Return for each closure the one that agrees with most others, among it and those agreeing."""
     degree = np.bincount(agree.ravel(), minlength=count)
     rank = degree * (count + 1) + np.arange(count, 0, -1)

@@ -7,20 +7,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from masat.arrays import Flags, Floats, Ids
+from masat.arrays import AnyArray, Flags, Floats, Ids
 from masat.progress import Progress
 from masat.robust.closures import GATE, Closures
 from masat.robust.growth import Growth
 from masat.robust.objective import cost, of_run
 
-# Trials without success after which no other is made.
+# Trials after which no other is made.
 _MAX_TRIALS = {True: 8, False: 4}
 # It takes as many plausible closures that are rejected to doubt kept ones.
 _MIN_BLOCKED = 5
 # Squared distance, in prices of a group, beyond which adding it is not tried; and in gates, beyond
 # which the trusted edges alone exclude it.
 _MAX_EXCESS, _MAX_DRIFT = 10.0, 10.0
-_LOWER = 1e-6
+# Fraction by which a move has to lower the cost, and gates after which others get a new chance.
+_LOWER, _LARGE_GAIN = 1e-6, 2.0
 
 
 class Move(NamedTuple):
@@ -78,9 +79,7 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
     tried: set[Move] = set()
     left = dict(_MAX_TRIALS)
     while not progress.over:
-        open_moves = (
-            move for move in _moves(closures, best.growth, first) if move not in tried
-        )
+        open_moves = (move for move in _moves(closures, best.growth, first) if move not in tried)
         move = next((move for move in open_moves if left[move.into]), None)
         if move is None:
             break
@@ -91,10 +90,13 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
             continue
         found = cost(closures, trial.kept, trial.chi2)
         if found < best.cost * (1 - _LOWER):
+            gain = best.cost - found
             # Its rival is the map that it replaces, unless that came from the same mistake.
             best = Decided(trial, found, best.growth.kept, best.cost)
             # What was refused may be right beside the new map.
-            tried, left = {move}, dict(_MAX_TRIALS)
+            tried = {move}
+            if gain > _LARGE_GAIN * GATE[closures.graph.dof]:
+                left = dict(_MAX_TRIALS)
         elif found < best.other_cost and (trial.kept != best.growth.kept).any():
             best = best._replace(other=trial.kept, other_cost=found)
     return best
@@ -152,6 +154,6 @@ def _moves(closures: Closures, growth: Growth, first: Floats) -> Iterator[Move]:
         yield Move(False, one)
 
 
-def _sorted(groups: Ids, first: Floats | Ids | Flags, then: Floats) -> list[int]:
+def _sorted(groups: Ids, first: AnyArray, then: AnyArray) -> list[int]:
     order: list[int] = groups[np.lexsort((then[groups], first[groups]))].tolist()
     return order

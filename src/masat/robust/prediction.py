@@ -58,8 +58,8 @@ def predict(
     return _compared(closures, graph, chosen, covariance)
 
 
-def predict_by_odometry(closures: Closures, graph: PoseGraph) -> Prediction:
-    """Predict all closures from the trusted edges alone, without a closure.
+def predict_by_odometry(closures: Closures, graph: PoseGraph, chosen: Ids) -> Prediction:
+    """Predict chosen closures from the trusted edges alone, without a closure.
 
     Where the trusted edges are odometry, relative covariances add up along it: those of 1, 2, 4, 8,
     ... steps are joined to that of each closure. The system of a long chain would cost more.
@@ -71,16 +71,16 @@ def predict_by_odometry(closures: Closures, graph: PoseGraph) -> Prediction:
     n = len(closures.graph)
     chain = len(trusted) == n - 1 and bool((np.abs(np.diff(ends, axis=1)) == 1).all())
     if not (chain and (lower[order] == np.arange(n - 1)).all()):
-        return predict(closures, graph, np.arange(len(closures)))
+        return predict(closures, graph, chosen)
     poses = graph.poses
     assert poses is not None
     backward = (ends[:, 0] > ends[:, 1])[order]
     step = np.linalg.inv(closures.graph.information[trusted[order]]).astype(np.float64)
     seen = lie.between(poses[1:], poses[:-1])
     step[backward] = _carried(step[backward], seen[backward])
-    a, b = closures.ends.T
+    a, b = closures.ends[chosen].T
     at, left = a.copy(), b - a
-    total = np.zeros((len(closures), *step.shape[1:]))
+    total = np.zeros((len(chosen), *step.shape[1:]))
     length = 1
     while left.any():
         odd = np.flatnonzero(left % 2)
@@ -93,9 +93,9 @@ def predict_by_odometry(closures: Closures, graph: PoseGraph) -> Prediction:
         step = _carried(step[: len(far)], lie.between(poses[far], poses[middle])) + step[middle]
         length *= 2
     # They belong to the later node, the measurement's covariance to the second one.
-    reverse = closures.reversed
+    reverse = closures.reversed[chosen]
     total[reverse] = _carried(total[reverse], lie.between(poses[a[reverse]], poses[b[reverse]]))
-    return _compared(closures, graph, np.arange(len(closures)), total)
+    return _compared(closures, graph, chosen, total)
 
 
 def _carried(covariance: Floats, seen: Floats) -> Floats:
@@ -105,15 +105,13 @@ def _carried(covariance: Floats, seen: Floats) -> Floats:
     return carried
 
 
-def _compared(
-    closures: Closures, graph: PoseGraph, chosen: Ids, covariance: Floats
-) -> Prediction:
+def _compared(closures: Closures, graph: PoseGraph, chosen: Ids, covariance: Floats) -> Prediction:
     """Compare measurements with the map, given the covariances of its relative poses."""
     poses = graph.poses
     assert poses is not None
     e = _residuals(closures, poses, chosen)
-    slope = _slope(e)
-    joint = slope @ covariance @ slope.transpose(0, 2, 1) + closures.covariance[chosen]
+    turn = slope(e)
+    joint = turn @ covariance @ turn.transpose(0, 2, 1) + closures.covariance[chosen]
     solved = np.linalg.solve(joint, e[..., None])[..., 0]
     distance = np.einsum("ki,ki->k", e, solved)
     log_likelihood = -(distance + np.linalg.slogdet(2 * np.pi * joint)[1]) / 2
@@ -133,7 +131,7 @@ def _log_volume(poses: Floats) -> float:
     return float(np.log(extent).sum() + np.log(2 * np.pi if d == 2 else 4 * np.pi / 3))
 
 
-def _slope(e: Floats) -> Floats:
+def slope(e: Floats) -> Floats:
     """Return the derivative of residuals by a step of the relative pose, (k, dof, dof)."""
     k, dof = e.shape
     slope = np.zeros((k, dof, dof))
@@ -154,15 +152,15 @@ def _slope(e: Floats) -> Floats:
     return slope
 
 
-def agreement(closures: Closures, poses: Floats) -> Floats:
-    """Return how well the pairs of closures of one place agree, (p,): about chi2 if both are true.
+def agreement(closures: Closures, poses: Floats, pairs: Ids) -> Floats:
+    """Return how well pairs of closures of one place agree, (p,): about chi2 if both are true.
 
     Two closures and the trusted edges between their ends make a short cycle, which must close
     within the uncertainty of its edges. Source: Mangelson, Dominic, Eustice, Vasudevan, Pairwise
     consistent measurement set maximization, ICRA 2018, here for closures of one place alone.
     """
     d = closures.graph.dimension
-    i, j = closures.pairs.T
+    i, j = pairs.T
     a, b = closures.ends.T
     there = lie.between(poses[a[j]], poses[a[i]])
     back = lie.between(poses[b[i]], poses[b[j]])

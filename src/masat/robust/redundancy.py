@@ -1,0 +1,109 @@
+"""How far the measurements of a map check each other, and what scale their information has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from masat import _core
+from masat.arrays import Flags, Floats
+from masat.covariance import relative_covariances
+from masat.graph import PoseGraph
+from masat.residuals import residuals
+from masat.robust.closures import FAR_GATE
+from masat.robust.prediction import slope
+
+# Redundancy that a group of edges needs for a scale, in edges.
+_MIN_REDUNDANCY = 10.0
+_MAX_TRIMS = 5
+# Added to what the others leave of an edge's covariance, which may be nothing, as a fraction of it.
+_LEAST_LEFT = 1e-9
+
+
+class Scales(NamedTuple):
+    """Factors by which covariances exceed what the information says; 1 if it is right.
+
+    Attributes
+    ----------
+    trusted : float or None
+        That of the trusted edges, as a rule odometry; None if too few others check them.
+    closures : float or None
+        That of the loop closures.
+    """
+
+    trusted: float | None
+    closures: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Redundancy:
+    """What the other edges of a map say of each edge.
+
+    Attributes
+    ----------
+    chi2 : ndarray, (m,)
+        chi2 of each edge.
+    share : ndarray, (m,)
+        The part of it that the others check, from 0, for an edge that alone joins two parts, to the
+        degrees of freedom: the expected chi2 if all information is right.
+    left_out : ndarray, (m,)
+        Squared Mahalanobis distance of the measurement from what the others predict.
+    dof : int
+        Degrees of freedom of an edge.
+    """
+
+    chi2: Floats
+    share: Floats
+    left_out: Floats
+    dof: int
+
+    def scale(self, which: Flags) -> float | None:
+        """Return the factor by which the covariances of some edges exceed their information.
+
+        Edges far beyond it do not count. Without enough redundancy it is None. Source: Foerstner,
+        Ein Verfahren zur Schaetzung von Varianz- und Kovarianzkomponenten, 1979.
+        """
+        used, scale, dof = which.copy(), 1.0, self.dof
+        for _ in range(_MAX_TRIMS):
+            share = float(self.share[used].sum())
+            if share < _MIN_REDUNDANCY * dof:
+                return None
+            scale = float(self.chi2[used].sum()) / share
+            outlying = used & (self.left_out > FAR_GATE[dof] * scale)
+            if not outlying.any():
+                break
+            used &= ~outlying
+        return scale if scale > 0 else None
+
+    def scales(self, trusted: Flags) -> Scales:
+        """Return the scales of the trusted edges and of the others."""
+        return Scales(self.scale(trusted), self.scale(~trusted))
+
+
+def redundancy(graph: PoseGraph, equations: _core.NormalEquations | None = None) -> Redundancy:
+    """Return what the other edges of a map say of each edge.
+
+    With the residual e of an edge at the minimum, the covariance R of its measurement and that of
+    the map along it S, the measurement is e' (R - S)^-1 e from what the others predict: Baarda, A
+    testing procedure for use in geodetic networks, 1968.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        A graph at its minimum.
+    equations : NormalEquations, optional
+        Those of the graph, to be used again.
+    """
+    covariance = relative_covariances(graph, graph.edges, warn=False, equations=equations)
+    e = residuals(graph)
+    turn = slope(e)
+    root = np.linalg.cholesky(graph.information).swapaxes(-1, -2) @ turn
+    left = np.eye(graph.dof) - root @ covariance @ root.swapaxes(-1, -2)
+    white = np.einsum("kji,kj->ki", np.linalg.cholesky(graph.information), e)
+    chi2 = np.square(white).sum(axis=1)
+    share = np.einsum("kii->k", left).clip(0, graph.dof)
+    solved = np.linalg.solve(left + _LEAST_LEFT * np.eye(graph.dof), white[..., None])[..., 0]
+    left_out = np.einsum("ki,ki->k", white, solved)
+    return Redundancy(chi2, share, np.maximum(left_out, chi2), graph.dof)

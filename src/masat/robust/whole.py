@@ -1,0 +1,134 @@
+"""The first hypothesis: all closures are true, but for a few outliers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from masat.arrays import Flags, Floats, Ids
+from masat.graph import PoseGraph
+from masat.initializers import guess_of
+from masat.optimizers import optimize
+from masat.optimizers.equations import normal_equations
+from masat.robust.closures import FAR_GATE, GATE, QUARTILE, Closures
+from masat.robust.prediction import agreement, predict_by_odometry
+from masat.robust.redundancy import Redundancy, Scales, redundancy
+
+# Fraction of the closures that may be outliers of a map that is not in doubt.
+_MAX_OUTLIERS = 0.02
+_MAX_ROUNDS = 3
+# Closures whose information is off by more, against that of the trusted edges, are judged with
+# another one.
+_MAX_RATIO, _EXACT = 10.0, 1e-6
+# Factor by which information may be off where nothing tells.
+_UNKNOWN = 4.0
+# Closures and pairs that are looked at before anything is optimized.
+_SAMPLE, _MIN_PAIRS = 2000, 10
+# The variance of a pair's cycle is estimated too large by about this factor.
+_CAUTIOUS = 4.0
+# Fraction of the pairs that may disagree, and gates that drift may take a true closure away.
+_MAX_DISAGREEING, _MAX_DRIFT = 0.05, 10.0
+_TOLERANCE, _ITERATIONS = 1e-6, 30
+
+
+class Fit(NamedTuple):
+    """A map in which all closures fit but for a few outliers.
+
+    Attributes
+    ----------
+    kept : ndarray of bool, (c,)
+        The closures but for the outliers.
+    graph : PoseGraph
+        The map of the trusted edges and these.
+    scales : Scales
+        The scales of the information.
+    """
+
+    kept: Flags
+    graph: PoseGraph
+    scales: Scales
+
+
+def fit_of_all(closures: Closures) -> Fit | None:
+    """Return the map of all closures, if all but a few fit together; else None.
+
+    Each edge is compared with what all others predict, with the information given; where it
+    promises too much by a common factor, with the factor that fits. False closures leave
+    contradictions beyond that, even where the optimization has spread them.
+
+    Parameters
+    ----------
+    closures : Closures
+        The closures.
+    """
+    if not odometry_allows(closures):
+        return None
+    kept = np.ones(len(closures), np.bool_)
+    graph = guess_of(closures.graph, "chordal")
+    most = _MAX_OUTLIERS * len(closures)
+    for _ in range(_MAX_ROUNDS):
+        equations = normal_equations(graph)
+        graph = optimize(
+            graph,
+            "dogleg",
+            max_iterations=_ITERATIONS,
+            relative_tolerance=_TOLERANCE,
+            equations=equations,
+        ).graph
+        checks = redundancy(graph, equations)
+        trusted = closures.trusted[closures.kept_edges(kept)]
+        gate = _gates(checks, trusted)
+        if gate is None:
+            return None
+        if np.count_nonzero(checks.left_out > gate) > most + np.count_nonzero(~kept):
+            return None
+        outliers = (checks.chi2 > gate) & ~trusted
+        if not outliers.any():
+            return Fit(kept, graph, checks.scales(trusted))
+        kept[np.flatnonzero(kept)[outliers[~trusted]]] = False
+        if np.count_nonzero(~kept) > most:
+            return None
+        assert graph.poses is not None
+        graph = closures.graph_with(kept, graph.poses)
+    return None
+
+
+def odometry_allows(closures: Closures) -> bool:
+    """Return whether the trusted edges alone contradict next to none of the closures.
+
+    Some thousand closures are looked at. True ones lie within a few gates even where drift is
+    large; where pairs of one place agree only to a factor, the gate is wider by it.
+    """
+    graph = closures.graph
+    dof = graph.dof
+    trusted = guess_of(graph.without_edges(~closures.trusted), "chordal")
+    assert trusted.poses is not None
+    pairs = _some(closures.pairs)
+    scale = 1.0
+    if len(pairs) >= _MIN_PAIRS:
+        between = agreement(closures, trusted.poses, pairs)
+        scale = max(1.0, _CAUTIOUS * float(np.quantile(between, 0.25)) / QUARTILE[dof])
+        if np.mean(between > GATE[dof] * scale) > _MAX_DISAGREEING:
+            return False
+    chosen = _some(np.arange(len(closures)))
+    distance = predict_by_odometry(closures, trusted, chosen).distance
+    contradicted = distance > _MAX_DRIFT * GATE[dof] * scale
+    return int(np.count_nonzero(contradicted)) <= _MAX_OUTLIERS / 2 * len(chosen)
+
+
+def _some(rows: Ids) -> Ids:
+    return rows[:: max(1, len(rows) // _SAMPLE)]
+
+
+def _gates(checks: Redundancy, trusted: Flags) -> Floats | None:
+    """Return the chi2 that each edge may have, (m,), or None if the scales contradict."""
+    gate = FAR_GATE[checks.dof]
+    scales = checks.scales(trusted)
+    if scales.trusted and scales.closures:
+        ratio = scales.closures / scales.trusted
+        exact = checks.left_out.max(initial=0.0) < _EXACT * gate
+        if not exact and not 1 / _MAX_RATIO < ratio < _MAX_RATIO:
+            return None
+    of_trusted, of_closures = (max(1.0, scale or _UNKNOWN) for scale in scales)
+    return gate * np.where(trusted, of_trusted, of_closures)
