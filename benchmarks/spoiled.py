@@ -35,8 +35,8 @@ _GRID_NODES, _GRID_SIGMA = 125, (0.05, 0.05)
 _PLAIN_SOLVES = 3
 
 ALL_KINDS = ("random", "local", "grouped", "alias")
-# What a run of a graph that is simulated or large is tried with.
-_HARD_KINDS = ("random", "grouped", "alias")
+# Those of the simulated grid and the garage.
+_KINDS_3D = ("random", "grouped", "alias")
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def _rows() -> Iterator[Row]:
         for kind in ("random", "alias"):
             yield Row(graph, kind, 0.5, success=0.9)
     for graph in ("grid", "garage"):
-        for kind in _HARD_KINDS:
+        for kind in _KINDS_3D:
             for fraction in (0.5, 0.9):
                 yield Row(graph, kind, fraction, success=0.9)
     for graph in ("sphere2500", "torus3D"):
