@@ -10,8 +10,8 @@ import sys
 
 import masat
 from benchmarks.with_g2o import built
-from masat.study import Case, Trial, run_case
-from masat.study.trial import THRESHOLD, initial_guess, instance
+from masat.study import Case, Trial
+from masat.study.trial import THRESHOLD, initial_guess, instance, run_inits
 
 _LIMIT = 50
 
@@ -36,7 +36,7 @@ def main(world: str, sigmas: str, instances: int) -> None:
     found = []
     for k in range(instances):
         case = Case(world, tuple(float(s) for s in sigmas.split(",")), k)
-        (ours,) = run_case(case, ("masat",), _LIMIT)
+        (ours,) = run_inits(case, ("masat",), _LIMIT)
         chi2 = chi2_of_g2o(initial_guess(instance(case), "masat"))
         theirs = Trial(case, "masat", chi2, 1, 0.0, 0.0)
         found.append((ours.success(), theirs.success()))

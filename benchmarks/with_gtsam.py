@@ -99,10 +99,11 @@ def _run(
         if settled(*history[-2:]):
             break
     took = clock.lap()
-    return Run(load, started, took, history[1:], _poses(solver.values(), dimension))
+    return Run(load, started, took, history[1:], poses_of(solver.values(), dimension))
 
 
-def _poses(values: Any, dimension: int) -> masat.arrays.Floats:
+def poses_of(values: Any, dimension: int) -> masat.arrays.Floats:
+    """Return gtsam's poses as masat has them, (n, 3) or (n, 7), in the order of the keys."""
     if dimension == 2:
         return np.asarray(gtsam.utilities.extractPose2(values), np.float64)
     rows = np.asarray(gtsam.utilities.extractPose3(values), np.float64)

@@ -27,11 +27,11 @@ def trial(chi2, case=CASE, init="masat"):
 
 
 def keys(store):
-    return sorted((t.case.name, t.init) for t in store.trials())
+    return sorted((t.case.name, t.column) for t in store.trials())
 
 
 def wanted(design):
-    return sorted((c.name, i) for c in design.cases() for i in design.inits_of(c))
+    return sorted((c.name, i) for c in design.cases() for i in design.columns_of(c))
 
 
 def run_all(store, **more):

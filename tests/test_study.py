@@ -206,7 +206,7 @@ def test_a_study_neither_warns_nor_touches_the_filters_of_warnings(tmp_path, mon
             patched.setattr(warnings, name, forbidden)
         graph = instance(case)
         guess = initial_guess(graph, "odometry")
-        trials = run_case(case, design.inits_of(case), 5)
+        trials = run_case(case, design.columns_of(case), 5)
     assert graph.notes
     assert set(guess.notes) > set(graph.notes)
     assert [t.error for t in trials] == [""] * (len(INITS) - 1)

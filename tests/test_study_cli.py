@@ -71,7 +71,7 @@ def test_bad_usage_is_code_2_and_one_line(arguments, said, tmp_path, monkeypatch
 
 
 def test_a_shipped_design_is_printed_to_start_from(tmp_path):
-    assert call("design").stdout.split() == ["inits", "paper", "quick"]
+    assert call("design").stdout.split() == ["false_closures", "inits", "paper", "quick"]
     told = call("design", "quick")
     assert told.returncode == 0
     copy = tmp_path / "quick.toml"
@@ -141,4 +141,4 @@ def test_the_runs_that_the_manual_repeats_are_those_of_its_design(tmp_path):
     for name in names:
         case, init = parse_run(name)
         assert case in design.cases()
-        assert init in design.inits_of(case)
+        assert init in design.columns_of(case)

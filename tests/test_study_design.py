@@ -8,7 +8,7 @@ def test_the_papers_design_has_1200_instances_and_4800_runs():
     design = load_design("paper")
     noisy = [c for c in design.cases() if c.sigma]
     assert len(noisy) == len(set(noisy)) == 1200
-    assert sum(len(design.inits_of(c)) for c in noisy) == 4800
+    assert sum(len(design.columns_of(c)) for c in noisy) == 4800
     assert len(design.graphs) == 36
 
 
@@ -69,7 +69,7 @@ def test_a_bad_design_is_refused_with_the_line(old, new, line, said, tmp_path):
 
 
 def test_an_unknown_design_names_those_that_are_shipped():
-    with pytest.raises(StudyError, match="come with masat: inits, paper, quick"):
+    with pytest.raises(StudyError, match="come with masat: false_closures, inits, paper, quick"):
         load_design("grand")
 
 
@@ -143,7 +143,7 @@ def test_each_world_takes_the_levels_of_its_dimension(tmp_path):
         ("tinyGrid3D", ()),
         ("MIT", ()),
     }
-    assert design.runs() == 2 * 5 * 2 + 2 == sum(len(design.inits_of(c)) for c in design.cases())
+    assert design.runs() == 2 * 5 * 2 + 2 == sum(len(design.columns_of(c)) for c in design.cases())
 
 
 def test_the_truth_alone_of_real_graphs_alone_is_nothing_to_run(tmp_path):

@@ -4,19 +4,31 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import click
 
 from masat.cli import EXIT_NOT_CONVERGED, show
-from masat.study import Store, StudyError, Trial, load_design, parse_run, run_case, run_study
+from masat.study import (
+    ClosureTrial,
+    Store,
+    StudyError,
+    Trial,
+    load_design,
+    parse_run,
+    run_case,
+    run_study,
+)
+from masat.study.cases import AnyTrial
 from masat.study.cluster import on_cluster
 from masat.study.design import INITS, Design
 from masat.study.design_file import shipped, shipped_text
+from masat.study.robust_methods import METHODS
 from masat.study.worlds import GROUND_TRUTH
 
 _MAX_WORKERS = 1024
@@ -27,7 +39,8 @@ def study() -> None:
     """Run the MASAT paper's evaluation, or a study of your own, and report it.
 
     A study solves many noisy instances of simulated worlds, and real graphs, from several initial
-    guesses, and compares these. docs/studies.md in the repository is its manual.
+    guesses, and compares these; or it adds false loop closures to them and compares robust methods.
+    docs/studies.md in the repository is its manual.
     """
 
 
@@ -45,7 +58,10 @@ def study() -> None:
 )
 @click.option("--scheduler", help="Dask scheduler to run on instead, such as tcp://host:8786.")
 @click.option(
-    "--only", metavar="RUN", help="Run WORLD/SIGMAS/INSTANCE/INIT alone and print its result."
+    "--only",
+    metavar="RUN",
+    help="Run WORLD/SIGMAS/INSTANCE/INIT (or WORLD/SIGMAS/KIND:FRACTION/INSTANCE/METHOD) alone and "
+    "print its result.",
 )
 @click.option("--retry", is_flag=True, help="Run the failed runs again.")
 @click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
@@ -66,7 +82,10 @@ def run(
     instances       number of noisy instances of each world at each level
     inits           initial guesses, and "ground_truth"
     max_iterations  limit of the Gauss-Newton iterations (default: 50)
-    graphs          public graphs, solved once from each initial guess
+    graphs          public graphs, or paths of files, solved once from each initial guess
+    kinds           kinds of false loop closures, added to all graphs: a study of methods, not inits
+    fractions       fractions of the false among all loop closures
+    methods         methods against false loop closures, such as "robust"
     title           title of the report (default: the name of the file)
 
     `masat study design NAME` prints a design to start from; docs/studies.md in the repository
@@ -139,32 +158,47 @@ def design(name: str | None) -> None:
 
 
 def _run_one(plan: Design, name: str) -> None:
-    case, init = parse_run(name)
-    if init not in INITS:
-        raise StudyError(f"unknown initial guess {init!r}; known: {', '.join(INITS)}")
-    if init == GROUND_TRUTH and not case.sigma:
+    case, column = parse_run(name)
+    what, known = ("method", tuple(METHODS)) if case.kind else ("initial guess", INITS)
+    if column not in known:
+        raise StudyError(f"unknown {what} {column!r}; known: {', '.join(known)}")
+    if column == GROUND_TRUTH and not case.sigma:
         raise StudyError(f"{name}: a real graph has no ground truth")
-    (trial,) = run_case(case, (init,), plan.max_iterations)
+    (trial,) = run_case(case, (column,), plan.max_iterations)
     if trial.error:
         raise StudyError(f"{name}: {trial.error}")
-    k = trial.success()
-    show.as_json(
-        {
-            "run": name,
-            "seed": case.seed,
-            "success": k is not None,
-            "iterations": k,
-            "chi2": trial.chi2,
-            "reduced_chi2": trial.reduced_chi2(-1 if k is None else k),
-            "init_seconds": trial.init_seconds,
-            "solve_seconds": trial.solve_seconds,
-        }
-    )
-    if k is None:
+    about = {"run": name, "seed": case.seed, "success": trial.succeeded}
+    show.as_json(about | (_of_init(trial) if isinstance(trial, Trial) else _of_method(trial)))
+    if not trial.succeeded:
         click.get_current_context().exit(EXIT_NOT_CONVERGED)
 
 
-def _engine(workers: int, scheduler: str | None) -> tuple[Executor, Callable[..., list[Trial]]]:
+def _of_init(trial: Trial) -> dict[str, Any]:
+    k = trial.success()
+    return {
+        "iterations": k,
+        "chi2": trial.chi2,
+        "reduced_chi2": trial.reduced_chi2(-1 if k is None else k),
+        "init_seconds": trial.init_seconds,
+        "solve_seconds": trial.solve_seconds,
+    }
+
+
+def _of_method(trial: ClosureTrial) -> dict[str, Any]:
+    assert trial.scores is not None
+    return {
+        "strict_success": trial.scores.strict_success,
+        "precision": trial.scores.precision,
+        "recall": trial.scores.recall,
+        **asdict(trial.scores),
+        "seconds": trial.seconds,
+        "plain_seconds": trial.plain_seconds,
+    }
+
+
+def _engine(
+    workers: int, scheduler: str | None
+) -> tuple[Executor, Callable[..., Sequence[AnyTrial]]]:
     """Return threads, and the function that runs a case: in the thread, or on the cluster."""
     if scheduler is None:
         return ThreadPoolExecutor(workers), run_case
@@ -183,14 +217,15 @@ def _engine(workers: int, scheduler: str | None) -> tuple[Executor, Callable[...
 
 def _tell_status(folder: Path, *, as_json: bool = False) -> None:
     with Store(folder) as store:
-        wanted = store.design.runs()
+        design = store.design
         trials = list(store.trials())
     failed = [t for t in trials if t.error]
-    solved = sum(t.success() is not None for t in trials)
+    solved = sum(t.succeeded for t in trials)
+    solved_as = "succeeded" if design.methods else "converged"
     about: dict[str, Any] = {
-        "runs": wanted,
+        "runs": design.runs(),
         "done": len(trials),
-        "converged": solved,
+        solved_as: solved,
         "failed": len(failed),
         "first_failure": f"{failed[0].case.name}: {failed[0].error}" if failed else None,
     }
@@ -198,8 +233,8 @@ def _tell_status(folder: Path, *, as_json: bool = False) -> None:
         show.as_json(about)
         return
     click.echo(
-        f"{folder}: {len(trials)} of {wanted} runs done, {solved} converged, {len(failed)} failed"
-        + (f" ({about['first_failure']})" if failed else "")
+        f"{folder}: {len(trials)} of {design.runs()} runs done, {solved} {solved_as}, "
+        f"{len(failed)} failed" + (f" ({about['first_failure']})" if failed else "")
     )
 
 

@@ -4,32 +4,32 @@ from __future__ import annotations
 
 import asyncio
 import concurrent.futures
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+from masat.study.cases import AnyTrial, run_case
 from masat.study.names import Case, StudyError
-from masat.study.trial import Trial, run_case
 
 _TRIES = 5
 
 
-def on_cluster(client: Any) -> Callable[[Case, tuple[str, ...], int], list[Trial]]:
+def on_cluster(client: Any) -> Callable[[Case, tuple[str, ...], int], Sequence[AnyTrial]]:
     """Return a `run` for `run_study` that runs each case on a Dask cluster and waits for it.
 
     A case is submitted again if its worker dies before the result has arrived. The futures of
     `Client.get_executor` fail or never end in that situation.
     """
 
-    def run(case: Case, inits: tuple[str, ...], max_iterations: int) -> list[Trial]:
+    def run(case: Case, columns: tuple[str, ...], max_iterations: int) -> Sequence[AnyTrial]:
         from distributed import KilledWorker
 
         lost = (asyncio.CancelledError, concurrent.futures.CancelledError, KilledWorker)
         for _ in range(_TRIES):
             future = client.submit(
-                run_case, case, inits, max_iterations, pure=False, retries=_TRIES
+                run_case, case, columns, max_iterations, pure=False, retries=_TRIES
             )
             try:
-                trials: list[Trial] = future.result()
+                trials: Sequence[AnyTrial] = future.result()
             except lost:
                 continue
             return trials

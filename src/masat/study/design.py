@@ -1,4 +1,4 @@
-"""The design of a study: worlds x noise levels x instances x initial guesses, and real graphs."""
+"""The design of a study: graphs, and the initial guesses or methods that are compared on them."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ LEVEL_SIZES = {2: (3,), 3: (2, 6)}
 class Design:
     """What a study runs; docs/studies.md describes the keys of a design file.
 
+    A study compares either initial guesses or, if it has `methods`, these on graphs with false loop
+    closures.
+
     Attributes
     ----------
     worlds : tuple of str
@@ -30,14 +33,21 @@ class Design:
         for worlds in 2D; two (translation, rotation) or six (x, y, z, and the rotation about x, y
         and z) are for worlds in 3D. A world takes the levels that fit its dimension.
     instances : int
-        Number of noisy instances of each world at each of its levels.
+        Number of noisy instances of each world at each of its levels. With `methods`, each instance
+        also has false loop closures of its own, and so do those of the real graphs.
     inits : tuple of str
         Initial guesses, of `INITS`.
     max_iterations : int
-        Largest number of Gauss-Newton iterations.
+        Largest number of iterations of an optimization: of Gauss-Newton from an initial guess.
     graphs : tuple of str
-        Real graphs, by their names in `masat.datasets`, solved once from each initial guess except
-        the ground truth.
+        Real graphs, by their names in `masat.datasets` or by paths of files, which have a slash.
+        Each is solved once from each initial guess except the ground truth.
+    kinds : tuple of str
+        Kinds of false loop closures (`masat.worlds.add_false_closures`).
+    fractions : tuple of float
+        Fractions of the false among all loop closures.
+    methods : tuple of str
+        Methods against false loop closures (`masat.study.robust_methods.METHODS`).
     title : str
         Title of the report.
     """
@@ -45,10 +55,18 @@ class Design:
     worlds: tuple[str, ...]
     sigmas: tuple[Sigma, ...]
     instances: int
-    inits: tuple[str, ...]
+    inits: tuple[str, ...] = ()
     max_iterations: int = 50
     graphs: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
+    fractions: tuple[float, ...] = ()
+    methods: tuple[str, ...] = ()
     title: str = ""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """What the study compares: initial guesses or methods."""
+        return self.methods or self.inits
 
     def levels_of(self, world: str) -> tuple[Sigma, ...]:
         """Return the noise levels that fit the dimension of a world."""
@@ -57,22 +75,31 @@ class Design:
 
     def cases(self) -> list[Case]:
         """Return all cases, instance by instance, so that a stopped study covers all cells."""
-        noisy = [
-            Case(world, sigma, k)
-            for k in range(self.instances)
-            for world in self.worlds
-            for sigma in self.levels_of(world)
-        ]
-        return noisy + [Case(graph, (), 0) for graph in self.graphs]
+        noisy = [(world, sigma) for world in self.worlds for sigma in self.levels_of(world)]
+        real: list[tuple[str, Sigma]] = [(graph, ()) for graph in self.graphs]
+        numbers = range(self.instances)
+        if self.methods:
+            return [
+                Case(world, sigma, k, kind, fraction)
+                for k in numbers
+                for world, sigma in noisy + real
+                for kind in self.kinds
+                for fraction in self.fractions
+            ]
+        return [Case(*cell, k) for k in numbers for cell in noisy] + [Case(*g, 0) for g in real]
 
-    def inits_of(self, case: Case) -> tuple[str, ...]:
-        """Return the initial guesses of a case; a real graph has no ground truth."""
-        return tuple(i for i in self.inits if case.sigma or i != GROUND_TRUTH)
+    def columns_of(self, case: Case) -> tuple[str, ...]:
+        """Return what is compared on a case; a real graph has no ground truth to begin from."""
+        return tuple(c for c in self.columns if case.sigma or c != GROUND_TRUTH)
 
     def runs(self) -> int:
         """Return the number of all runs, without listing them."""
-        noisy = self.instances * sum(len(self.levels_of(world)) for world in self.worlds)
-        return noisy * len(self.inits) + len(self.graphs) * len(self.inits_of(Case("", (), 0)))
+        noisy = sum(len(self.levels_of(world)) for world in self.worlds)
+        if self.methods:
+            spoiled = len(self.kinds) * len(self.fractions)
+            return self.instances * (noisy + len(self.graphs)) * spoiled * len(self.methods)
+        real = len(self.graphs) * len(self.columns_of(Case("", (), 0)))
+        return self.instances * noisy * len(self.inits) + real
 
     def to_table(self) -> dict[str, Any]:
         """Return the keys of a design file with their values."""

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, as_completed
+from pathlib import Path
 from typing import TypeAlias
 
+from masat.study.cases import AnyTrial, run_case
+from masat.study.names import StudyError
 from masat.study.store import Store
-from masat.study.trial import Trial, run_case
-from masat.study.worlds import load_world
+from masat.study.worlds import is_path, load_world
 
 Progress: TypeAlias = Callable[[int], object]
 """Called with the number of runs that were finished since the last call."""
@@ -19,7 +21,7 @@ def run_study(
     executor: Executor,
     *,
     progress: Progress | None = None,
-    run: Callable[..., list[Trial]] = run_case,
+    run: Callable[..., Sequence[AnyTrial]] = run_case,
 ) -> None:
     """Run what the store's design asks for and the store does not hold yet.
 
@@ -37,23 +39,27 @@ def run_study(
     Raises
     ------
     StudyError
-        If a world cannot be loaded, before any case has run, or the store cannot be written.
+        If a world cannot be loaded or a file is missing, before any case has run, or the store
+        cannot be written.
     """
     design, done = store.design, store.done()
     todo = [
-        (case, inits)
+        (case, columns)
         for case in design.cases()
-        if (inits := tuple(i for i in design.inits_of(case) if (case, i) not in done))
+        if (columns := tuple(c for c in design.columns_of(case) if (case, c) not in done))
     ]
     # Loaded here, a world that is missing ends the study before it begins, and no two threads
     # load the same one.
-    for world in dict.fromkeys(case.world for case, _ in todo if case.sigma):
-        load_world(world)
+    for case, _ in todo:
+        if case.sigma:
+            load_world(case.world)
+        elif is_path(case.world) and not Path(case.world).is_file():
+            raise StudyError(f"{case.world}: there is no such file")
     if progress is not None:
         progress(len(done))
-    pending: dict[Future[list[Trial]], int] = {}
-    for case, inits in todo:
-        pending[executor.submit(run, case, inits, design.max_iterations)] = len(inits)
+    pending: dict[Future[Sequence[AnyTrial]], int] = {}
+    for case, columns in todo:
+        pending[executor.submit(run, case, columns, design.max_iterations)] = len(columns)
     try:
         for future in as_completed(pending):
             store.add(future.result())

@@ -10,26 +10,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from masat.study.cases import AnyTrial
 from masat.study.design import Design
-from masat.study.design_file import check_design
+from masat.study.design_keys import check_design
 from masat.study.names import Case, StudyError
+from masat.study.tables import CLOSURE_TRIALS, INIT_TRIALS, TrialTable
 from masat.study.toml_lines import TomlText
-from masat.study.trial import Trial
 
 _FILE = "study.sqlite"
 
 # Raised whenever the tables change.
 _VERSION = 2
 
-_TABLES = f"""
+_NEW = f"""
 BEGIN;
 CREATE TABLE design (text TEXT NOT NULL);
-CREATE TABLE trial (
-    world TEXT NOT NULL, sigma TEXT NOT NULL, instance INTEGER NOT NULL, init TEXT NOT NULL,
-    chi2 TEXT NOT NULL, degrees_of_freedom INTEGER NOT NULL,
-    init_seconds REAL NOT NULL, solve_seconds REAL NOT NULL, error TEXT NOT NULL,
-    PRIMARY KEY (world, sigma, instance, init)
-) WITHOUT ROWID;
 PRAGMA user_version = {_VERSION};
 COMMIT;
 """
@@ -73,6 +68,8 @@ class Store:
             with self._readable():
                 self._check_version()
                 self.design = self._stored_design(design)
+                self._table: TrialTable = CLOSURE_TRIALS if self.design.methods else INIT_TRIALS
+                self._db.execute(self._table.sql())
         except BaseException:
             self._db.close()
             raise
@@ -83,28 +80,16 @@ class Store:
     def __exit__(self, *_: object) -> None:
         self._db.close()
 
-    def add(self, trials: Iterable[Trial]) -> None:
+    def add(self, trials: Iterable[AnyTrial]) -> None:
         """Store trials, all or none; a run that is stored already is not changed."""
-        rows = [
-            (
-                t.case.world,
-                json.dumps(t.case.sigma),
-                t.case.instance,
-                t.init,
-                json.dumps(t.chi2),
-                t.degrees_of_freedom,
-                t.init_seconds,
-                t.solve_seconds,
-                t.error,
-            )
-            for t in trials
-        ]
+        rows = [self._table.row(trial) for trial in trials]
+        marks = ", ".join("?" * len(self._table.columns))
         try:
             with closing(self._db.cursor()) as cursor:
                 cursor.execute("BEGIN IMMEDIATE")
                 try:
                     cursor.executemany(
-                        "INSERT OR IGNORE INTO trial VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", rows
+                        f"INSERT OR IGNORE INTO {self._table.name} VALUES ({marks})", rows
                     )
                 except BaseException:
                     cursor.execute("ROLLBACK")
@@ -119,19 +104,20 @@ class Store:
     def forget_failed(self) -> int:
         """Delete the failed trials, so that they run again; return their number."""
         with self._readable():
-            return self._db.execute("DELETE FROM trial WHERE error != ''").rowcount
+            return self._db.execute(f"DELETE FROM {self._table.name} WHERE error != ''").rowcount
 
     def done(self) -> set[tuple[Case, str]]:
         """Return the runs that are stored, failed ones included."""
         with self._readable():
-            rows = self._db.execute("SELECT world, sigma, instance, init FROM trial").fetchall()
-            return {(_case(world, sigma, k), init) for world, sigma, k, init in rows}
+            key = ", ".join(self._table.key)
+            rows = self._db.execute(f"SELECT {key} FROM {self._table.name}").fetchall()
+            return {self._table.named(row) for row in rows}
 
-    def trials(self) -> Iterator[Trial]:
+    def trials(self) -> Iterator[AnyTrial]:
         """Iterate over the trials in the order of their names."""
         with self._readable():
-            for row in self._db.execute("SELECT * FROM trial"):
-                yield _trial(*row)
+            for row in self._db.execute(f"SELECT * FROM {self._table.name}"):
+                yield self._table.trial(row)
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
@@ -151,7 +137,7 @@ class Store:
             ) from None
 
     def _check_version(self) -> None:
-        """Make the tables in a new file, and refuse tables of another version."""
+        """Make the table of the design in a new file, and refuse tables of another version."""
         (version,) = self._db.execute("PRAGMA user_version").fetchone()
         if version == _VERSION:
             return
@@ -161,7 +147,7 @@ class Store:
                 f"{self.path}: was written by another version of masat or another program; choose "
                 "another folder, or delete this one and run the study again"
             )
-        self._db.executescript(_TABLES)
+        self._db.executescript(_NEW)
 
     def _stored_design(self, wanted: Design | None) -> Design:
         """Return the design of the file; a new file gets the one that is wanted."""
@@ -186,29 +172,3 @@ class Store:
             )
         self._db.execute("UPDATE design SET text = ?", (json.dumps(wanted.to_table()),))
         return wanted
-
-
-def _case(world: str, sigma: str, instance: int) -> Case:
-    return Case(str(world), tuple(float(s) for s in json.loads(sigma)), int(instance))
-
-
-def _trial(
-    world: str,
-    sigma: str,
-    instance: int,
-    init: str,
-    chi2: str,
-    degrees_of_freedom: int,
-    init_seconds: float,
-    solve_seconds: float,
-    error: str,
-) -> Trial:
-    return Trial(
-        case=_case(world, sigma, instance),
-        init=str(init),
-        chi2=tuple(float(c) for c in json.loads(chi2)),
-        degrees_of_freedom=int(degrees_of_freedom),
-        init_seconds=float(init_seconds),
-        solve_seconds=float(solve_seconds),
-        error=str(error),
-    )

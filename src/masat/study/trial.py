@@ -10,7 +10,7 @@ from masat.graph import PoseGraph
 from masat.initializers import INITIALIZERS
 from masat.optimizers import Result, optimize
 from masat.study.names import Case
-from masat.study.worlds import GROUND_TRUTH, load_world
+from masat.study.worlds import GROUND_TRUTH, load_real, load_world
 from masat.worlds import perturb
 
 THRESHOLD = 1e-6
@@ -47,6 +47,16 @@ class Trial:
     init_seconds: float
     solve_seconds: float
     error: str = ""
+
+    @property
+    def column(self) -> str:
+        """What is compared: the initial guess."""
+        return self.init
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether chi2 converged by the relative test."""
+        return self.success() is not None
 
     def success(self, *, relative: bool = True) -> int | None:
         """Return the first iteration at which chi2 converged, or None.
@@ -85,19 +95,10 @@ class Trial:
 
 
 def instance(case: Case) -> PoseGraph:
-    """Return the noisy graph of a case with the true poses, or a real graph as it is.
-
-    A real graph gets identity information if its own is not positive definite.
-    """
+    """Return the noisy graph of a case with the true poses, or a real graph as it is."""
     if case.sigma:
         return perturb(load_world(case.world), case.sigma, seed=case.seed)
-    from masat.datasets import DATASETS, fetch
-    from masat.formats.reading import read_without_warnings
-
-    # Cases run in threads, and the filters of warnings belong to the whole process.
-    return read_without_warnings(
-        fetch(case.world), format=DATASETS[case.world].format, indefinite="identity"
-    )
+    return load_real(case.world)
 
 
 def initial_guess(graph: PoseGraph, init: str) -> PoseGraph:
@@ -120,12 +121,12 @@ def solve(guess: PoseGraph, max_iterations: int) -> Result:
     )
 
 
-def run_case(case: Case, inits: tuple[str, ...], max_iterations: int) -> list[Trial]:
+def run_inits(case: Case, inits: tuple[str, ...], max_iterations: int) -> list[Trial]:
     """Run a case from each of the initial guesses; a failure is a trial with its reason."""
     try:
         graph = instance(case)
     except (MasatError, OSError, MemoryError) as error:
-        return [Trial(case, init, (), 0, 0.0, 0.0, _reason(error)) for init in inits]
+        return [Trial(case, init, (), 0, 0.0, 0.0, reason(error)) for init in inits]
     return [_run(case, graph, init, max_iterations) for init in inits]
 
 
@@ -138,7 +139,7 @@ def _run(case: Case, graph: PoseGraph, init: str, max_iterations: int) -> Trial:
         guessed = perf_counter()
         result = solve(guess, max_iterations)
     except Exception as error:  # one failed run must not end the study
-        return Trial(case, init, (), 0, 0.0, 0.0, _reason(error))
+        return Trial(case, init, (), 0, 0.0, 0.0, reason(error))
     return Trial(
         case=case,
         init=init,
@@ -149,5 +150,6 @@ def _run(case: Case, graph: PoseGraph, init: str, max_iterations: int) -> Trial:
     )
 
 
-def _reason(error: BaseException) -> str:
+def reason(error: BaseException) -> str:
+    """Return why a run failed."""
     return f"{type(error).__name__}: {error}"

@@ -1,9 +1,10 @@
-"""The worlds of a study by name: the paper's, recovered from public graphs, and simulated ones."""
+"""The graphs of a study by name: the paper's worlds, simulated ones, public graphs and files."""
 
 from __future__ import annotations
 
 import re
 from functools import cache
+from pathlib import Path
 
 from masat.errors import GraphError
 from masat.graph import PoseGraph
@@ -58,6 +59,24 @@ def load_world(name: str) -> PoseGraph:
         raise StudyError(f"the world {name!r} cannot be simulated: {error}") from None
     except MemoryError:
         raise StudyError(f"the world {name!r} does not fit into memory") from None
+
+
+def is_path(graph: str) -> bool:
+    """Return whether a real graph is a file, by its path, and not a public one, by its name."""
+    return "/" in graph or "\\" in graph
+
+
+def load_real(name: str) -> PoseGraph:
+    """Return a public graph, or that of a file, as it is.
+
+    Information that is not positive definite is replaced by the identity.
+    """
+    from masat.datasets import DATASETS, fetch
+    from masat.formats.reading import read_without_warnings
+
+    path, format_ = (Path(name), None) if is_path(name) else (fetch(name), DATASETS[name].format)
+    # Cases run in threads, and the filters of warnings belong to the whole process.
+    return read_without_warnings(path, format=format_, indefinite="identity")
 
 
 def _parse(name: str) -> tuple[str, list[int]] | None:

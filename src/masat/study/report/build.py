@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 
 from masat.files import write_atomically
+from masat.study.cases import AnyTrial
+from masat.study.closure_trial import ClosureTrial
 from masat.study.design import Design
 from masat.study.names import StudyError
-from masat.study.report.cells import Cell, cells_of
 from masat.study.report.document import Block, Heading, Paragraph, Table, markdown, page
-from masat.study.report.figures import rate_figure, time_figure
-from masat.study.report.minima import control_table, minima_table, total_table
-from masat.study.report.paper import agreement, published
-from masat.study.report.paper_figures import paper_figures
-from masat.study.report.tables import (
-    iterations_table,
-    mcnemar_table,
-    real_table,
-    success_table,
-    time_table,
-)
+from masat.study.report.false_closures import closure_blocks
+from masat.study.report.inits import init_blocks
 from masat.study.store import Store
 from masat.study.trial import Trial
-from masat.study.worlds import GROUND_TRUTH, dimension_of
-
-_LEVELS = {
-    2: "(x, y, theta) in 2D",
-    3: "(translation, rotation) or (x, y, z, and the rotation about x, y and z) in 3D",
-}
 
 
 def build_report(store: Store, folder: Path) -> list[Path]:
@@ -57,27 +43,18 @@ def build_report(store: Store, folder: Path) -> list[Path]:
         raise StudyError(f"{folder}: cannot be made: {error.strerror or error}") from None
     design, trials = store.design, list(store.trials())
     order = {case: k for k, case in enumerate(design.cases())}
-    inits = {init: k for k, init in enumerate(design.inits)}
-    trials = [t for t in trials if t.case in order and t.init in inits]
-    trials.sort(key=lambda t: (order[t.case], inits[t.init]))
-    cells = cells_of(trials)
+    columns = {column: k for k, column in enumerate(design.columns)}
+    trials = [t for t in trials if t.case in order and t.column in columns]
+    trials.sort(key=lambda t: (order[t.case], columns[t.column]))
+    subject = "methods against false loop closures" if design.methods else "initial guesses"
     blocks: list[Block] = [
-        Heading(design.title or "A study of initial guesses", 1),
+        Heading(design.title or f"A study of {subject}", 1),
         Paragraph(_summary(design, trials)),
     ]
-    if cells:
-        blocks += [Paragraph(_legend(design)), *_noisy_blocks(design, cells, folder)]
-    if any(not t.case.sigma for t in trials):
-        blocks += [
-            Heading("Real graphs"),
-            Paragraph(
-                "Each real graph was solved once from each initial guess. A run has converged when "
-                "an iteration changes chi2 by less than 1e-6, relative where chi2 is above 1; the "
-                "table gives that iteration, and otherwise the lowest chi2 within the limit. "
-                "Times are in milliseconds (ms)."
-            ),
-            real_table(trials),
-        ]
+    if design.methods:
+        blocks += closure_blocks(design, [t for t in trials if isinstance(t, ClosureTrial)], folder)
+    else:
+        blocks += init_blocks(design, [t for t in trials if isinstance(t, Trial)], folder)
     written = [folder / f"{b.name}.csv" for b in blocks if isinstance(b, Table)]
     for block in blocks:
         if isinstance(block, Table):
@@ -87,9 +64,10 @@ def build_report(store: Store, folder: Path) -> list[Path]:
     return [folder / "report.md", folder / "report.html", *written]
 
 
-def _summary(design: Design, trials: list[Trial]) -> str:
+def _summary(design: Design, trials: Sequence[AnyTrial]) -> str:
+    what = "a method" if design.methods else "Gauss-Newton"
     text = (
-        f"{len(trials)} of {design.runs()} runs of Gauss-Newton with at most "
+        f"{len(trials)} of {design.runs()} runs of {what} with at most "
         f"{design.max_iterations} iterations."
     )
     if design.worlds:
@@ -99,94 +77,13 @@ def _summary(design: Design, trials: list[Trial]) -> str:
         )
     if design.graphs:
         text += f" Real graphs: {', '.join(design.graphs)}."
-    errors = [f"{t.case.name}/{t.init}: {t.error}" for t in trials if t.error]
+    if design.methods:
+        text += (
+            f" False loop closures: {', '.join(design.kinds)}; as fractions of all loop closures: "
+            f"{', '.join(f'{fraction:g}' for fraction in design.fractions)}; drawn "
+            f"{design.instances} times each."
+        )
+    errors = [f"{t.case.name}/{t.column}: {t.error}" for t in trials if t.error]
     if errors:
         text += f" {len(errors)} runs failed, the first for this reason: {errors[0]}"
     return text
-
-
-def _legend(design: Design) -> str:
-    dimensions = sorted({dimension_of(world) for world in design.worlds})
-    levels = " and ".join(_LEVELS[d] for d in dimensions)
-    return (
-        f"How to read the tables: noise is the standard deviations {levels}, in meters and "
-        "radians. A column named after an initial guess has the runs from it. A dash means that "
-        "there is no number, for lack of runs or of successes; 'failed' means that all runs ended "
-        "in an error."
-    )
-
-
-def _noisy_blocks(design: Design, cells: list[Cell], folder: Path) -> Iterable[Block]:
-    inits, paper = design.inits, published(design)
-    reference = _reference(inits)
-    compared = tuple(i for i in inits if i != reference)
-    beside = bool(paper.inits(cells, inits))
-    yield Heading("Success rate, relative threshold" + (" (the paper's Table 1)" if beside else ""))
-    yield Paragraph(
-        "A run succeeds if, within the limit of the iterations, 0 <= (before - after) / after < "
-        "1e-6 for the chi2 before and after an iteration: the test of g2o. In brackets: the 95 % "
-        "Wilson interval of the rate."
-        + (" A star marks a rate of the paper outside our interval." if beside else "")
-    )
-    yield success_table(cells, inits, paper, relative=True)
-    if "masat" in inits:
-        yield from agreement(cells, "masat", paper)
-    yield rate_figure(cells, inits, folder / "rates.png")
-    yield Heading("Success rate, absolute threshold")
-    yield Paragraph("A run succeeds if an iteration changes chi2 by less than 1e-6.")
-    yield success_table(cells, inits, paper, relative=False)
-    yield Heading("Iterations and reduced chi2" + (" (the paper's Table 2)" if beside else ""))
-    yield Paragraph(
-        "Means over the successes by the relative threshold: iterations / reduced chi2. Reduced "
-        "chi2 is chi2 divided by the degrees of freedom, 3 (edges - nodes + 1) in 2D and twice "
-        "that in 3D. It is about 1 at the best minimum; more than from the ground truth shows a "
-        "local minimum."
-    )
-    yield iterations_table(cells, inits, paper)
-    if compared:
-        yield Heading(f"Each initial guess against {reference}")
-        yield Paragraph(
-            f"In a column 'a : {reference}', on the same instances: how many only a solves : how "
-            f"many only {reference} solves, and p, the p-value of McNemar's exact test that both "
-            "succeed equally often."
-        )
-        yield mcnemar_table(cells, compared, reference)
-    yield Heading("Which minimum is reached")
-    yield Paragraph(
-        "The fraction of all instances for which an initial guess leads to the lowest chi2 that "
-        "any initial guess of the instance reached, up to a fraction of 1e-6 of it."
-    )
-    yield minima_table(cells, inits)
-    others = tuple(i for i in inits if i != GROUND_TRUTH)
-    if GROUND_TRUTH in inits and others:
-        yield Paragraph(
-            "How many successes end above the chi2 that Gauss-Newton reaches from the ground "
-            "truth, and, after the comma, by what fraction of it at most."
-        )
-        yield control_table(cells, others, GROUND_TRUTH)
-    yield Heading("Time")
-    yield Paragraph(
-        "Medians over the runs of a world, of the initial guess and of Gauss-Newton up to the "
-        "absolute threshold, in milliseconds (ms); the mean of an iteration; the sum over all runs "
-        "in seconds (s)."
-    )
-    yield time_table(cells, inits)
-    if compared:
-        yield Paragraph(
-            f"Median total time, initial guess and Gauss-Newton up to the relative threshold, "
-            f"divided by that of {reference}, on the instances where both succeed; 'success of "
-            f"{reference}' is its success rate."
-        )
-        yield total_table(cells, compared, reference)
-    yield time_figure(cells, reference, folder / "times.png")
-    figures = paper_figures(cells, inits, paper, folder, design.max_iterations)
-    if figures:
-        yield Heading("The paper's figures")
-        yield from figures
-
-
-def _reference(inits: tuple[str, ...]) -> str:
-    """Return the initial guess that the others are compared with."""
-    if "masat" in inits:
-        return "masat"
-    return next((i for i in inits if i != GROUND_TRUTH), inits[0])

@@ -21,6 +21,11 @@ class Cell:
     trials: dict[str, dict[int, Trial]] = field(default_factory=lambda: defaultdict(dict))
 
     @property
+    def panel(self) -> str:
+        """Title of the panel of a figure."""
+        return self.world
+
+    @property
     def level(self) -> str:
         """The noise level as text."""
         return f"({sigma_name(self.sigma)})"

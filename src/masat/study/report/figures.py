@@ -1,9 +1,10 @@
-"""Figures of success rates and times over the noise levels."""
+"""Figures of success rates and times."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -18,19 +19,39 @@ _COLUMNS = 3
 _MARKERS = "osD^v"
 
 
-def rate_figure(cells: list[Cell], inits: tuple[str, ...], path: Path) -> Figure:
-    """Draw the success rates of the initial guesses over the noise levels, with intervals."""
+class RateCell(Protocol):
+    """A cell of a study: a point on the axis of a panel, with success rates by column."""
+
+    @property
+    def panel(self) -> str:
+        """Title of the panel."""
+
+    @property
+    def level(self) -> str:
+        """Mark on the axis."""
+
+    def rate(self, column: str) -> tuple[int, int]:
+        """Return (successes, trials)."""
+
+    def failed(self, column: str) -> bool:
+        """Return whether there are trials and all of them failed."""
+
+
+def rate_figure(
+    cells: Sequence[RateCell], columns: tuple[str, ...], path: Path, caption: str
+) -> Figure:
+    """Draw the success rates of what is compared over the levels, with 95 % intervals."""
     canvas, panels = _panels(cells)
     labeled: dict[str, Any] = {}
     for ax, mine in panels:
-        for i, init in enumerate(inits):
-            rates = [(k, *c.rate(init)) for k, c in enumerate(mine) if not c.failed(init)]
+        for i, column in enumerate(columns):
+            rates = [(k, *c.rate(column)) for k, c in enumerate(mine) if not c.failed(column)]
             drawn = np.array([(k, s / n, *wilson(s, n)) for k, s, n in rates if n])
             if len(drawn) == 0:
                 continue
             k, middle, low, high = drawn.T
-            labeled[init] = ax.errorbar(
-                k + 0.8 / len(inits) * (i - (len(inits) - 1) / 2),
+            labeled[column] = ax.errorbar(
+                k + 0.8 / len(columns) * (i - (len(columns) - 1) / 2),
                 middle,
                 [np.maximum(middle - low, 0), np.maximum(high - middle, 0)],
                 fmt=_MARKERS[i // 10 % len(_MARKERS)],
@@ -43,16 +64,15 @@ def rate_figure(cells: list[Cell], inits: tuple[str, ...], path: Path) -> Figure
         ax.set_ylabel("success rate")
     canvas.legend(
         list(labeled.values()),
-        [init.replace("_", " ") for init in labeled],
+        [column.replace("_", " ") for column in labeled],
         loc="outside upper center",
         ncols=min(4, max(1, len(labeled))),
     )
     canvas.savefig(path, dpi=110)
-    return Figure(
-        path,
-        "Success rates by the relative threshold over the noise levels; the bars are 95 % Wilson "
-        "intervals.",
-    )
+    return Figure(path, caption)
+
+
+_AnyCell = TypeVar("_AnyCell", bound=RateCell)
 
 
 def time_figure(cells: list[Cell], init: str, path: Path) -> Figure:
@@ -75,17 +95,17 @@ def time_figure(cells: list[Cell], init: str, path: Path) -> Figure:
     )
 
 
-def _panels(cells: list[Cell]) -> tuple[Canvas, list[tuple[Any, list[Cell]]]]:
-    """Return a figure with a panel for each world, and the cells of each panel."""
+def _panels(cells: Sequence[_AnyCell]) -> tuple[Canvas, list[tuple[Any, list[_AnyCell]]]]:
+    """Return a figure with its panels, and the cells of each."""
     from matplotlib.figure import Figure as Canvas
 
-    worlds = list(dict.fromkeys(c.world for c in cells))
-    columns = min(_COLUMNS, len(worlds))
-    rows = -(-len(worlds) // columns)
+    titles = list(dict.fromkeys(c.panel for c in cells))
+    columns = min(_COLUMNS, len(titles))
+    rows = -(-len(titles) // columns)
     canvas = Canvas(figsize=(5 * columns, 4 * rows), layout="constrained")
     panels = []
-    for k, world in enumerate(worlds, 1):
+    for k, title in enumerate(titles, 1):
         ax = canvas.add_subplot(rows, columns, k)
-        ax.set_title(world)
-        panels.append((ax, [c for c in cells if c.world == world]))
+        ax.set_title(title)
+        panels.append((ax, [c for c in cells if c.panel == title]))
     return canvas, panels

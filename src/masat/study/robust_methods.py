@@ -1,0 +1,70 @@
+"""The methods that a study of false loop closures compares; a method is one line of `METHODS`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from masat.arrays import Flags, Floats
+from masat.graph import PoseGraph
+from masat.initializers import INITIALIZERS
+from masat.initializers.odometry import odometry_edges
+from masat.optimizers import LOSSES, optimize
+from masat.optimizers.losses import default_scale
+from masat.solver import solve
+
+
+class Answer(NamedTuple):
+    """Which edges a method kept, (m,), and the map that it made, (n, 3) or (n, 7)."""
+
+    kept: Flags
+    poses: Floats
+
+
+RobustMethod: TypeAlias = Callable[[PoseGraph, int], Answer]
+"""From a graph, whose poses do not count, and the limit of the iterations to an answer."""
+
+
+def robust(graph: PoseGraph, max_iterations: int) -> Answer:
+    """Decide which loop closures to believe: `masat.solve(graph, robust=True)`."""
+    result = solve(graph, robust=True, max_iterations=max_iterations)
+    assert result.kept is not None
+    return Answer(result.kept, result.poses)
+
+
+def plain(graph: PoseGraph, max_iterations: int) -> Answer:
+    """Believe all edges: what `masat.solve(graph)` does, without its warnings."""
+    result = optimize(INITIALIZERS["auto"](graph), max_iterations=max_iterations)
+    return Answer(np.ones(len(graph.edges), np.bool_), result.poses)
+
+
+def with_loss(graph: PoseGraph, max_iterations: int, *, loss: str) -> Answer:
+    """Minimize a loss from odometry, which is trusted.
+
+    The scale of the loss is its default. A loop closure counts as kept up to the chi2 that one
+    honest one in 100 exceeds, the square of that scale.
+    """
+    trusted = odometry_edges(graph)
+    guess = INITIALIZERS["odometry"](graph)
+    result = optimize(guess, loss=loss, trusted=trusted, max_iterations=max_iterations)
+    gate = default_scale(graph.dof) ** 2
+    return Answer(trusted | (result.graph.chi2_per_edge <= gate), result.poses)
+
+
+def geman_mcclure_refit(graph: PoseGraph, max_iterations: int) -> Answer:
+    """Minimize the loss of Geman and McClure, and then chi2 of the edges that it kept."""
+    kept, poses = with_loss(graph, max_iterations, loss="geman_mcclure")
+    rest = graph.without_edges(~kept).with_poses(poses)
+    return Answer(kept, optimize(rest, max_iterations=max_iterations).poses)
+
+
+METHODS: dict[str, RobustMethod] = {
+    "robust": robust,
+    "plain": plain,
+    **{loss: partial(with_loss, loss=loss) for loss in LOSSES},
+    "geman_mcclure_refit": geman_mcclure_refit,
+}
+"""The methods by name."""
