@@ -108,7 +108,7 @@ def _spoiled(row: Row, seeds: int) -> str:
         scores.append(score(what.clean, what.graph, what.is_false, result.kept, result.poses))
         seconds.append(took)
         units.append(took / what.plain_seconds)
-        scales.append(result.decision.scale)
+        scales.append(result.decision.scales.closures or 1.0)
     successes, strict = sum(s.success for s in scores), sum(s.strict_success for s in scores)
     recalls = [s.recall or 0.0 for s in scores]
     false = [s.false_kept for s in scores]
@@ -157,7 +157,7 @@ def _harmless(name: str) -> str:
         f"{name:<46}{len(graph):>7}{found.true_closures:>9}"
         f"{found.true_closures - found.true_kept:>9}{starred(str(within), within > 0, 8)}"
         f"{found.rmse:>10.3g}{plain_seconds:>9.3f}"
-        f"{starred(f'{units:.1f}', units > HARMLESS_UNITS, 9)}{result.decision.scale:>9.3g}"
+        f"{starred(f'{units:.1f}', units > HARMLESS_UNITS, 9)}{result.decision.scales.closures or 1:>9.3g}"
     )
 
 
