@@ -5,6 +5,7 @@ import pytest
 
 import masat
 from masat import PoseGraph, lie
+from masat.initializers.chordal import chordal
 from masat.initializers.odometry import odometry_edges
 from masat.residuals import chi2_per_edge
 from masat.robust import decide
@@ -87,11 +88,11 @@ def test_scales_of_both_kinds_of_edges_are_found(factors):
 @pytest.mark.parametrize("fraction", [0.02, 0.5])
 def test_only_a_clean_graph_fits_as_a_whole(kind, fraction):
     graph = clean()
-    fit = fit_of_all(Closures(graph))
+    fit = fit_of_all(Closures(graph), chordal)
     assert fit is not None
     assert fit.kept.all()
     spoiled, _ = add_false_closures(graph, kind, fraction, seed=1)
-    assert fit_of_all(Closures(spoiled)) is None
+    assert fit_of_all(Closures(spoiled), chordal) is None
 
 
 def test_an_outlier_of_a_clean_graph_is_rejected():

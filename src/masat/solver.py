@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 
 from masat.arrays import Flags
@@ -119,12 +120,16 @@ def solve(
     if robust:
         if loss is not None:
             raise OptimizationError("robust and loss exclude each other: choose one of them")
-        decision = decide(rooted, trusted, progress=progress)
+        start_of = partial(guess_of, method=init, seed=seed, progress=progress)
+        decision = decide(rooted, trusted, start=start_of, progress=progress)
         rooted, trusted = rooted.without_edges(~decision.kept), None
     equations = normal_equations(rooted, threads)
-    guess = guess_of(rooted, init, seed=seed, progress=progress, equations=equations)
-    if decision is not None and equations.chi2(decision.poses) < guess.chi2:
-        guess = guess.with_poses(decision.poses)
+    if decision is not None and decision.from_start:
+        guess = rooted.with_poses(decision.poses)
+    else:
+        guess = guess_of(rooted, init, seed=seed, progress=progress, equations=equations)
+        if decision is not None and equations.chi2(decision.poses) < guess.chi2:
+            guess = guess.with_poses(decision.poses)
     init_seconds = perf_counter() - start
     for note in guess.notes:
         if note not in graph.notes:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from masat.arrays import AnyArray, Flags, Floats, Ids, locked
 from masat.graph import PoseGraph
+from masat.initializers import guess_of
 from masat.progress import Progress
 from masat.residuals import chi2_per_edge
 from masat.robust.closures import FAR_GATE, GATE, Closures
@@ -71,6 +74,8 @@ class Decision:
         Another hypothesis, if its cost is not much higher.
     poses : ndarray, (n, 3) or (n, 7)
         The map of the decision, near its minimum.
+    from_start : bool
+        Whether these poses come from the initial guess of all edges.
     """
 
     kept: Flags
@@ -81,6 +86,7 @@ class Decision:
     released: Ids
     rival: Rival | None
     poses: Floats
+    from_start: bool = False
 
     def __repr__(self) -> str:
         believed = int(self.closures["kept"].sum())
@@ -117,6 +123,7 @@ def decide(
     graph: PoseGraph,
     trusted: ArrayLike | None = None,
     *,
+    start: Callable[[PoseGraph], PoseGraph] | None = None,
     progress: Progress | None = None,
 ) -> Decision:
     """Decide which loop closures of a graph to believe.
@@ -134,6 +141,9 @@ def decide(
     trusted : array_like of bool, (m,), optional
         The edges to trust. Default: odometry, the first edge of each pair of consecutive ids.
         Parts that they leave unconnected are joined by the closures that agree with most others.
+    start : callable, optional
+        The initial guess of all edges, where the trusted ones do not contradict the others.
+        Default: "chordal".
     progress : Progress, optional
         What reports the stages and limits the time.
 
@@ -149,7 +159,7 @@ def decide(
     progress = progress or Progress()
     closures = Closures(graph, trusted)
     progress.tell("comparing all loop closures with each other")
-    fit = fit_of_all(closures)
+    fit = fit_of_all(closures, start or partial(guess_of, method="chordal"))
     if fit is not None:
         return _decision_of_fit(closures, fit)
     joined = closures.trusted.copy()
@@ -185,6 +195,7 @@ def _decision_of_fit(closures: Closures, fit: Fit) -> Decision:
         released=locked(np.empty(0, np.int64)),
         rival=None,
         poses=locked(poses),
+        from_start=True,
     )
 
 

@@ -12,6 +12,10 @@ from masat.covariance import change_of_frame, relative_covariances
 from masat.graph import PoseGraph
 from masat.robust.closures import Closures
 
+_EPSILON = float(np.finfo(np.float64).eps)
+# Rounding of a sum of covariances that is allowed, against the covariance of a measurement.
+_MAX_ROUNDING = 1e-3
+
 
 class Prediction(NamedTuple):
     """What a map predicts of closures, (k,) each.
@@ -61,41 +65,52 @@ def predict(
 def predict_by_odometry(closures: Closures, graph: PoseGraph, chosen: Ids) -> Prediction:
     """Predict chosen closures from the trusted edges alone, without a closure.
 
-    Where the trusted edges are odometry, relative covariances add up along it: those of 1, 2, 4, 8,
-    ... steps are joined to that of each closure. The system of a long chain would cost more.
+    Where the trusted edges are odometry, covariances add up along it: that of each relative pose is
+    the difference of two sums. The system of a long chain would cost more. Closures across a gap
+    of the odometry are NaN.
     """
-    trusted = np.flatnonzero(closures.trusted)
-    ends = closures.graph.edge_indices[trusted]
-    lower = ends.min(axis=1)
-    order = np.argsort(lower, kind="stable")
-    n = len(closures.graph)
-    chain = len(trusted) == n - 1 and bool((np.abs(np.diff(ends, axis=1)) == 1).all())
-    if not (chain and (lower[order] == np.arange(n - 1)).all()):
+    summed = _sums_along_odometry(closures, graph)
+    if summed is None:
         return predict(closures, graph, chosen)
+    poses, center, sums, gaps = summed
+    a, b = closures.ends[chosen].T
+    # They belong to the second node of the closure.
+    second = np.where(closures.reversed[chosen], a, b)
+    total = _carried(sums[b] - sums[a], lie.between(poses[second], center))
+    largest = np.einsum("kii->k", sums)[b].max(initial=0.0)
+    smallest = np.einsum("kii->k", closures.covariance[chosen]).min(initial=np.inf)
+    if _EPSILON * largest > _MAX_ROUNDING * smallest:
+        return predict(closures, graph, chosen)
+    found = _compared(closures, graph, chosen, total)
+    across = gaps[a] != gaps[b]
+    found.distance[across] = found.log_ratio[across] = np.nan
+    return found
+
+
+def _sums_along_odometry(
+    closures: Closures, graph: PoseGraph
+) -> tuple[Floats, Floats, Floats, Ids] | None:
+    """Return poses, a pose in their midst, and the sums of covariances up to each node, seen there.
+
+    Also the number of gaps in the odometry up to each node, (n,). None if other edges are trusted.
+    """
     poses = graph.poses
     assert poses is not None
-    backward = (ends[:, 0] > ends[:, 1])[order]
-    step = np.linalg.inv(closures.graph.information[trusted[order]]).astype(np.float64)
-    seen = lie.between(poses[1:], poses[:-1])
-    step[backward] = _carried(step[backward], seen[backward])
-    a, b = closures.ends[chosen].T
-    at, left = a.copy(), b - a
-    total = np.zeros((len(chosen), *step.shape[1:]))
-    length = 1
-    while left.any():
-        odd = np.flatnonzero(left % 2)
-        ahead = at[odd] + length
-        total[odd] = _carried(total[odd], lie.between(poses[ahead], poses[at[odd]]))
-        total[odd] += step[at[odd]]
-        at[odd] = ahead
-        left //= 2
-        middle, far = np.arange(length, n - length), np.arange(2 * length, n)
-        step = _carried(step[: len(far)], lie.between(poses[far], poses[middle])) + step[middle]
-        length *= 2
-    # They belong to the later node, the measurement's covariance to the second one.
-    reverse = closures.reversed[chosen]
-    total[reverse] = _carried(total[reverse], lie.between(poses[a[reverse]], poses[b[reverse]]))
-    return _compared(closures, graph, chosen, total)
+    n, d = len(graph), graph.dimension
+    trusted = np.flatnonzero(closures.trusted)
+    ends = closures.graph.edge_indices[trusted].astype(np.int64)
+    lower = ends.min(axis=1)
+    if (np.abs(np.diff(ends, axis=1)) != 1).any() or len(np.unique(lower)) < len(lower):
+        return None
+    center = lie.identity(d)
+    center[:d] = poses[:, :d].mean(axis=0)
+    covariance = np.linalg.inv(closures.graph.information[trusted]).astype(np.float64)
+    seen = lie.between(center, poses[ends[:, 1]])
+    steps = np.zeros((n, graph.dof, graph.dof))
+    steps[lower + 1] = _carried(covariance, seen)
+    gaps = np.ones(n, np.int64)
+    gaps[lower + 1] = 0
+    return poses, center, np.cumsum(steps, axis=0), np.cumsum(gaps)
 
 
 def _carried(covariance: Floats, seen: Floats) -> Floats:

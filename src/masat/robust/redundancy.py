@@ -99,9 +99,10 @@ def redundancy(graph: PoseGraph, equations: _core.NormalEquations | None = None)
     covariance = relative_covariances(graph, graph.edges, warn=False, equations=equations)
     e = residuals(graph)
     turn = slope(e)
-    root = np.linalg.cholesky(graph.information).swapaxes(-1, -2) @ turn
+    half = np.linalg.cholesky(graph.information).swapaxes(-1, -2)
+    root = half @ turn
     left = np.eye(graph.dof) - root @ covariance @ root.swapaxes(-1, -2)
-    white = np.einsum("kji,kj->ki", np.linalg.cholesky(graph.information), e)
+    white = (half @ e[..., None])[..., 0]
     chi2 = np.square(white).sum(axis=1)
     share = np.einsum("kii->k", left).clip(0, graph.dof)
     solved = np.linalg.solve(left + _LEAST_LEFT * np.eye(graph.dof), white[..., None])[..., 0]

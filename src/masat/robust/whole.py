@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from masat import _core
 from masat.arrays import Flags, Floats, Ids
 from masat.graph import PoseGraph
 from masat.initializers import guess_of
 from masat.optimizers import optimize
 from masat.optimizers.equations import normal_equations
+from masat.residuals import chi2_per_edge
 from masat.robust.closures import FAR_GATE, GATE, QUARTILE, Closures
 from masat.robust.prediction import agreement, predict_by_odometry
 from masat.robust.redundancy import Redundancy, Scales, redundancy
@@ -21,7 +24,8 @@ _MAX_ROUNDS = 3
 # Closures whose information is off by more, against that of the trusted edges, are judged with
 # another one.
 _MAX_RATIO, _EXACT = 10.0, 1e-6
-# Factor by which information may be off where nothing tells.
+# Factor by which all information may be too large, and by which it may be off where nothing tells.
+_MAX_PROMISE = 50.0
 _UNKNOWN = 4.0
 # Closures and pairs that are looked at before anything is optimized.
 _SAMPLE, _MIN_PAIRS = 2000, 10
@@ -50,7 +54,7 @@ class Fit(NamedTuple):
     scales: Scales
 
 
-def fit_of_all(closures: Closures) -> Fit | None:
+def fit_of_all(closures: Closures, start: Callable[[PoseGraph], PoseGraph]) -> Fit | None:
     """Return the map of all closures, if all but a few fit together; else None.
 
     Each edge is compared with what all others predict, with the information given; where it
@@ -61,37 +65,45 @@ def fit_of_all(closures: Closures) -> Fit | None:
     ----------
     closures : Closures
         The closures.
+    start : callable
+        The initial guess.
     """
     if not odometry_allows(closures):
         return None
-    kept = np.ones(len(closures), np.bool_)
-    graph = guess_of(closures.graph, "chordal")
+    graph = start(closures.graph)
+    equations = normal_equations(graph)
+    graph = _optimized(graph, equations)
+    checks = redundancy(graph, equations)
+    trusted = closures.trusted
+    gate = _gates(checks, trusted)
     most = _MAX_OUTLIERS * len(closures)
+    if gate is None or np.count_nonzero(checks.left_out > gate) > most:
+        return None
+    scales = checks.scales(trusted)
+    kept = np.ones(len(closures), np.bool_)
+    chi2 = checks.chi2
     for _ in range(_MAX_ROUNDS):
-        equations = normal_equations(graph)
-        graph = optimize(
-            graph,
-            "dogleg",
-            max_iterations=_ITERATIONS,
-            relative_tolerance=_TOLERANCE,
-            equations=equations,
-        ).graph
-        checks = redundancy(graph, equations)
-        trusted = closures.trusted[closures.kept_edges(kept)]
-        gate = _gates(checks, trusted)
-        if gate is None:
-            return None
-        if np.count_nonzero(checks.left_out > gate) > most + np.count_nonzero(~kept):
-            return None
-        outliers = (checks.chi2 > gate) & ~trusted
+        outliers = kept & (chi2 > gate)[closures.edges]
         if not outliers.any():
-            return Fit(kept, graph, checks.scales(trusted))
-        kept[np.flatnonzero(kept)[outliers[~trusted]]] = False
+            return Fit(kept, graph, scales)
+        kept &= ~outliers
         if np.count_nonzero(~kept) > most:
             return None
         assert graph.poses is not None
         graph = closures.graph_with(kept, graph.poses)
+        graph = _optimized(graph, normal_equations(graph))
+        chi2 = chi2_per_edge(closures.graph, graph.poses)
     return None
+
+
+def _optimized(graph: PoseGraph, equations: _core.NormalEquations) -> PoseGraph:
+    return optimize(
+        graph,
+        "dogleg",
+        max_iterations=_ITERATIONS,
+        relative_tolerance=_TOLERANCE,
+        equations=equations,
+    ).graph
 
 
 def odometry_allows(closures: Closures) -> bool:
@@ -102,7 +114,7 @@ def odometry_allows(closures: Closures) -> bool:
     """
     graph = closures.graph
     dof = graph.dof
-    trusted = guess_of(graph.without_edges(~closures.trusted), "chordal")
+    trusted = guess_of(graph.without_edges(~closures.trusted), "odometry")
     assert trusted.poses is not None
     pairs = _some(closures.pairs)
     scale = 1.0
@@ -130,5 +142,7 @@ def _gates(checks: Redundancy, trusted: Flags) -> Floats | None:
         exact = checks.left_out.max(initial=0.0) < _EXACT * gate
         if not exact and not 1 / _MAX_RATIO < ratio < _MAX_RATIO:
             return None
+    if max(scale or 1.0 for scale in scales) > _MAX_PROMISE:
+        return None
     of_trusted, of_closures = (max(1.0, scale or _UNKNOWN) for scale in scales)
     return gate * np.where(trusted, of_trusted, of_closures)
