@@ -71,7 +71,7 @@ def _labeled(name: str, graph: PoseGraph, is_true: Flags) -> str:
     wanted = name.startswith(LABELED_SEQUENCES)
     recall = 1.0 if found.recall is None else found.recall
     # The objective of rescaled information is another one.
-    rescaled = result.decision.scale != 1
+    rescaled = result.decision.used != (1, 1)
     objective = "-" if rescaled else f"{above:.2g}"
     return (
         f"{name:<32}{found.true_closures:>7}{found.false_closures:>7}{found.true_kept:>7}"
@@ -153,11 +153,12 @@ def _harmless(name: str) -> str:
     chi2 = plain.graph.chi2_per_edge[~result.kept] / reduced
     within = int((chi2 <= FAR_GATE[graph.dof]).sum())
     units = seconds / plain_seconds
+    scale = result.decision.scales.closures or 1.0
     return (
         f"{name:<46}{len(graph):>7}{found.true_closures:>9}"
         f"{found.true_closures - found.true_kept:>9}{starred(str(within), within > 0, 8)}"
         f"{found.rmse:>10.3g}{plain_seconds:>9.3f}"
-        f"{starred(f'{units:.1f}', units > HARMLESS_UNITS, 9)}{result.decision.scales.closures or 1:>9.3g}"
+        f"{starred(f'{units:.1f}', units > HARMLESS_UNITS, 9)}{scale:>9.3g}"
     )
 
 
