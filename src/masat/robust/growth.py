@@ -55,6 +55,8 @@ class Growth:
         self.kept: Flags = np.zeros(count, np.bool_)
         self.banned: Flags = np.zeros(count, np.bool_)
         self.refused: Flags = np.zeros(count, np.bool_)
+        # Closures whose prediction is that of another one of their group.
+        self._borrowed: Flags = np.zeros(count, np.bool_)
         self.equations: _core.NormalEquations = normal_equations(self.map)
         self._set_map()
         self.distance, self.log_ratio = predict_by_odometry(closures, self.map, np.arange(count))
@@ -89,6 +91,9 @@ class Growth:
                 # The last few may be believed at once.
                 few = len(likely) <= _FEW * self.kept.sum()
                 new = likely if few else likely[: (len(likely) + 1) // 2]
+                new = self._confirmed(new)
+                if len(new) == 0:
+                    continue
                 self._progress.tell(f"believing {int(self.kept.sum()) + len(new)} loop closures")
                 self.believe(new)
                 self._predict_runs(self._near(new) & self.supported)
@@ -164,7 +169,7 @@ class Growth:
         """Return a growth that can be tried without changing this one."""
         other = object.__new__(Growth)
         other.__dict__.update(self.__dict__)
-        for name in ("kept", "banned", "refused", "distance", "log_ratio"):
+        for name in ("kept", "banned", "refused", "_borrowed", "distance", "log_ratio"):
             setattr(other, name, getattr(self, name).copy())
         return other
 
@@ -177,6 +182,14 @@ class Growth:
         within = self.distance < GATE[self._closures.graph.dof]
         likely = np.flatnonzero(free & within & (self.log_ratio > needed))
         return likely[np.argsort(-self.log_ratio[likely], kind="stable")]
+
+    def _confirmed(self, likely: Ids) -> Ids:
+        """Return those that are likely also by a prediction of their own."""
+        borrowed = likely[self._borrowed[likely]]
+        if len(borrowed) == 0:
+            return likely
+        self._predict(borrowed)
+        return likely[np.isin(likely, self._likely())]
 
     def _near(self, new: Ids) -> Flags:
         """Return the closures near new ones that are not hopeless, (c,)."""
@@ -193,6 +206,7 @@ class Growth:
         if len(chosen):
             found = predict(self._closures, self.map, chosen, self.equations)
             self.distance[chosen], self.log_ratio[chosen] = found
+            self._borrowed[chosen] = False
 
     def _predict_runs(self, which: Flags) -> None:
         """Predict one closure for each few that agree with it."""
@@ -203,6 +217,7 @@ class Growth:
         self._predict(np.unique(speaks))
         self.distance[members] = self.distance[speaks]
         self.log_ratio[members] = self.log_ratio[speaks]
+        self._borrowed[members] = members != speaks
 
     def _refine(self) -> None:
         """Keep exactly the closures within the gate of the map that they make."""
