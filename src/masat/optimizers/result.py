@@ -180,6 +180,7 @@ class Result:
         }
         optional: dict[str, Any] = {
             "labels": graph.labels,
+            "stamps": graph.stamps,
             "weights": self.weights,
             "kept": self.kept,
             "closures": self.closures,
@@ -224,6 +225,7 @@ class Result:
                     fixed=arrays["fixed"],
                     notes=about["notes"],
                     labels=arrays.get("labels"),
+                    stamps=arrays.get("stamps"),
                 ).with_root(arrays["gauge"])
                 return cls(
                     graph=graph,
