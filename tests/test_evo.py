@@ -3,10 +3,12 @@
 evo is under the GPL, so no extra of the package has it: `make test-evo` installs it.
 """
 
+import copy
+
 import numpy as np
 import pytest
 
-from masat import evaluate, read, write
+from masat import evaluate, initialize, read, solve, write
 from masat.worlds import manhattan, perturb, sphere
 
 pytest.importorskip("evo", reason="evo is not installed: make test-evo")
@@ -37,8 +39,6 @@ def files(request, tmp_path_factory):
     n = len(truth)
     rng = np.random.default_rng(3)
     stamps = 1.3e9 + np.cumsum(rng.uniform(0.02, 0.2, n))
-    from masat import initialize
-
     chain = initialize(measured, "odometry")
     poses = chain.poses.copy()
     poses[:, : truth.dimension] *= 1.3
@@ -122,3 +122,33 @@ def test_statistics(files):
     theirs = metric.get_all_statistics()
     for name, value in found.ate.statistics()["translation"].items():
         assert value == pytest.approx(theirs[name], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("graph", "truth"),
+    [
+        ("2d/input_M3500_g2o.g2o", "M3500_groundtruth.g2o"),
+        ("3d/sphere2500.g2o", "sphere2500_groundtruth.g2o"),
+        ("2d/kitti_00.g2o", None),
+    ],
+)
+@pytest.mark.parametrize("align", ["se3", "sim3"])
+def test_ate_of_public_graphs(data_dir, tmp_path, graph, truth, align):
+    """With the solution as truth where there is no other."""
+    graph = read(data_dir / graph)
+    chain = initialize(graph, "odometry")
+    true = solve(graph, init="odometry").graph if truth is None else read(data_dir / truth)
+    for name, poses in (("every", chain), ("truth", true)):
+        write(poses, tmp_path / f"{name}.kitti")
+        write(poses.with_stamps(0.1 * np.arange(len(poses))), tmp_path / f"{name}.tum")
+    found = evaluate(chain, true, align=align)
+    assert len(found.ids) == len(graph)
+    reference, estimate = (
+        file_interface.read_tum_trajectory_file(str(tmp_path / f"{name}.tum"))
+        for name in ("truth", "every")
+    )
+    for pair in (by_line(tmp_path), (reference, estimate)):
+        for name, relation in RELATIONS.items():
+            aligned = copy.deepcopy(pair[1])
+            theirs = evo_errors(pair[0], aligned, align, metrics.APE(relation))
+            assert differences(getattr(found.ate, name), theirs) < 1e-9

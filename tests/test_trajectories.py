@@ -153,7 +153,7 @@ def test_what_a_trajectory_needs_is_named(tmp_path, name):
     if name == "o.tum":
         with pytest.raises(FormatError, match=r"o.tum: the graph has no stamps.* \(.kitti\)"):
             write(trajectory([(0, 0, 0)]), tmp_path / name)
-        with pytest.raises(GraphError, match="nodes 0 and 1 both have the stamp 5.0"):
+        with pytest.raises(GraphError, match=r"nodes 0 and 1 both have the stamp 5\.0"):
             write(trajectory([(0, 0, 0)] * 2, [5.0, 5.0]), tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
