@@ -11,7 +11,7 @@ define install_extra
 	$(BIN)/pip install -q -r $(VENV)/$(1).txt
 endef
 
-.PHONY: demo test test-slow lint format sanitize sanitize-threads compilers benchmark clean
+.PHONY: demo test test-slow test-evo lint format sanitize sanitize-threads compilers benchmark clean
 
 demo: $(VENV)/.masat
 	$(BIN)/masat demo
@@ -54,6 +54,10 @@ sanitize-threads: $(VENV)/.test
 	PYTHONPATH=build/sanitized-threads $(BIN)/python -m pytest -q tests/test_cholesky.py \
 	  -k "(same_bits and 2) or pivot or interrupted or no_more_threads"
 
+# evo is under the GPL, so no extra has it: it is installed in an environment of its own.
+test-evo: $(VENV)/evo/.done
+	$(VENV)/evo/bin/python -m pytest -q tests/test_evo.py
+
 # With each supported compiler of this machine: builds the core and runs its tests.
 compilers: $(VENV)/.test
 	tools/compilers.sh $(BIN)
@@ -82,6 +86,11 @@ $(VENV)/.test: $(VENV)/.masat
 
 $(VENV)/.lint: $(VENV)/bin/pip pyproject.toml
 	$(call install_extra,lint)
+	@touch $@
+
+$(VENV)/evo/.done: $(VENV)/bin/pip $(SOURCES)
+	$(PYTHON) -m venv $(VENV)/evo
+	$(VENV)/evo/bin/pip install -q '.[test]' evo==1.38.1
 	@touch $@
 
 $(VENV)/bench/.done: $(VENV)/bin/pip $(SOURCES)

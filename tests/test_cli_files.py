@@ -35,8 +35,8 @@ def convert(monkeypatch, capsys, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["in.g2o", "out.tum"], "masat: out.tum: the suffix '.tum' belongs to no format"),
-        (["missing.g2o", "out.tum"], "masat: out.tum: the suffix"),
+        (["in.g2o", "out.csv"], "masat: out.csv: the suffix '.csv' belongs to no format"),
+        (["missing.g2o", "out.csv"], "masat: out.csv: the suffix"),
         (["in.g2o", "loop.g2o"], "masat: loop.g2o: Too many levels of symbolic links"),
         (["in.g2o", "folder.g2o"], "masat: folder.g2o: is a folder"),
         (["in.g2o", "missing/out.g2o"], "masat: missing/out.g2o: its folder does not exist"),

@@ -37,6 +37,12 @@ INLINE = {
         "EDGE2 2 0 -1 0.1 -4.7 1 0 0 1 0 1\n"
     ),
     "iSAM in space": (f"EDGE3 0 1 1 2 3 .1 .2 .3 {SPACE}\nEDGE3 1 2 1 2 3 -.1 -.2 -.3 {SPACE}\n"),
+    "g2o with stamps": (
+        "VERTEX_SE2 0 0 0 0 # stamp: 1.5\nVERTEX_SE2 1 1 0 1.57 # stamp: 2e3\n"
+        f"EDGE_SE2 0 1 1.0 0.01 1.57 {PLANE}\n"
+    ),
+    "tum": "# t x y z q\n1.5 1 2 3 0.5 -0.5 0.5 0.5\n2 0 0 0 0 0 0 1\n3.25 1e1 0 0 0 1 0 0\n",
+    "kitti": "1 0 0 0.5 0 1 0 0 0 0 1 0\n0 -1 0 1 1 0 0 2 0 0 1 3\n",
     "trajectory": "0 0 0\n1 0 0.1\n2 0.1 0.2\n3 0.3 0.1\n",
     "edge list": (
         "0 1 1.0 0.0 0.1 0.5 0.1 0 0.1 0.5 0 0 0 0.25\n1 2 1.0 0.0 -.1 1e-4 0 0 0 1e-4 0 0 0 1e-2\n"

@@ -73,7 +73,7 @@ def test_it_prints_json_and_draws(simulate, tmp_path):
         (["city"], "--output"),
         (["city", "-o", "no/such/w.g2o"], "folder does not exist"),
         (["city", "-o", "w.g2o", "--truth", "w.g2o"], "choose different names"),
-        (["city", "-o", "w.tum"], "the suffix '.tum' belongs to no format"),
+        (["city", "-o", "w.csv"], "the suffix '.csv' belongs to no format"),
         (["city", "-o", "w.g2o", "--truth", "w.png"], "the suffix '.png' belongs to no format"),
         (["city", "-o", "w.g2o", "--nodes", 2**31], "at most 2147483647 nodes"),
         (["city", "-o", "w.g2o", "--nodes", 100, "--noise", "1,1,1e-200"], "between 1e-100"),

@@ -184,10 +184,13 @@ def test_the_suffix_chooses_the_format(tmp_path, graph, stem, gz):
     assert_identical(read(path), graph)
 
 
-@pytest.mark.parametrize("suffix", [".tum", ".graph", ".json", ".tum.gz", ".g2o.zip", ".gz.gz"])
+@pytest.mark.parametrize("suffix", [".csv", ".graph", ".json", ".csv.gz", ".g2o.zip", ".gz.gz"])
 def test_an_unknown_suffix_is_refused_with_the_known_ones(tmp_path, graph, suffix):
     path = tmp_path / f"o{suffix}"
-    message = f"o{suffix}: the suffix .* no format that can be written; expected .g2o, .txt or no"
+    message = (
+        f"o{suffix}: the suffix .* no format that can be written; expected .g2o, .txt, .tum, "
+        ".kitti or no"
+    )
     for call in (lambda: write(graph, path), lambda: format_of(path)):
         with pytest.raises(FormatError, match=message):
             call()

@@ -20,6 +20,14 @@ namespace {
 
 using namespace nb::literals;
 
+// A list of bytes, or None if there are none.
+nb::object as_list(const std::vector<std::string>& texts) {
+  if (texts.empty()) return nb::none();
+  nb::list out;
+  for (const std::string& text : texts) out.append(nb::bytes(text.data(), text.size()));
+  return out;
+}
+
 nb::dict parse_text(const nb::bytes& text, const std::vector<Record>& records) {
   ParsedGraph g;
   {
@@ -33,23 +41,16 @@ nb::dict parse_text(const nb::bytes& text, const std::vector<Record>& records) {
   for (const UnknownTag& u : g.unknown) {
     unknown[nb::bytes(u.tag.data(), u.tag.size())] = nb::make_tuple(u.count, u.first_line);
   }
-  nb::object labels = nb::none();
-  if (!g.edge_labels.empty()) {
-    nb::list each;
-    for (const std::string& label : g.edge_labels) {
-      each.append(nb::bytes(label.data(), label.size()));
-    }
-    labels = std::move(each);
-  }
   nb::dict out;
   out["vertex_ids"] = as_array(std::move(g.vertex_ids));
   out["vertex_lines"] = as_array(std::move(g.vertex_lines));
   out["vertex_poses"] = as_array(std::move(g.vertex_poses), {n, size});
+  out["vertex_stamps"] = as_list(g.vertex_stamps);
   out["edge_ids"] = as_array(std::move(g.edge_ids), {m, 2});
   out["edge_lines"] = as_array(std::move(g.edge_lines));
   out["measurements"] = as_array(std::move(g.measurements), {m, size});
   out["information"] = as_array(std::move(g.information), {m, dof, dof});
-  out["edge_labels"] = labels;
+  out["edge_labels"] = as_list(g.edge_labels);
   out["fixed_ids"] = as_array(std::move(g.fixed_ids));
   out["fixed_lines"] = as_array(std::move(g.fixed_lines));
   out["unknown"] = unknown;
@@ -66,14 +67,15 @@ nb::dict tags_of(const nb::bytes& text) {
 }
 
 nb::bytes formatted(const std::string& tag, const Table<std::int64_t>& integers,
-                    const Table<double>& values, const std::vector<std::string>& labels) {
+                    const Table<double>& values, const std::vector<std::string>& labels,
+                    const std::string& name) {
   require(integers.shape(0) == values.shape(0), "as many rows of integers as of values");
   require(labels.empty() || labels.size() == values.shape(0), "as many labels as rows");
   std::string out;
   {
     nb::gil_scoped_release release;
     out = format_lines(tag, integers.data(), integers.shape(1), values.data(), values.shape(1),
-                       values.shape(0), labels);
+                       values.shape(0), labels, name);
   }
   return nb::bytes(out.data(), out.size());
 }
@@ -95,11 +97,13 @@ void bind_text(nb::module_& m) {
       .value("VERTEX", Kind::kVertex)
       .value("EDGE", Kind::kEdge)
       .value("FIX", Kind::kFix)
-      .value("POSE", Kind::kPose);
+      .value("POSE", Kind::kPose)
+      .value("STAMPED_POSE", Kind::kStampedPose);
   nb::enum_<PoseText>(m, "PoseText")
       .value("XY_THETA", PoseText::kXYTheta)
       .value("XYZ_QUATERNION", PoseText::kXYZQuat)
-      .value("XYZ_RPY", PoseText::kXYZRPY);
+      .value("XYZ_RPY", PoseText::kXYZRPY)
+      .value("MATRIX", PoseText::kMatrix);
   nb::enum_<InformationText>(m, "InformationText")
       .value("UPPER", InformationText::kUpper)
       .value("TORO_PLANAR", InformationText::kToroPlanar)
@@ -113,7 +117,7 @@ void bind_text(nb::module_& m) {
   m.def("parse", &parse_text, "text"_a, "records"_a);
   m.def("count_tags", &tags_of, "text"_a);
   m.def("format_lines", &formatted, "tag"_a, "integers"_a, "values"_a,
-        "labels"_a = std::vector<std::string>{});
+        "labels"_a = std::vector<std::string>{}, "name"_a = std::string(kLabel));
 }
 
 }  // namespace masat

@@ -137,15 +137,17 @@ void for_each_line(std::string_view text, Visit visit) {
   }
 }
 
-// The text after "label:" in a comment, without blanks around it; empty if there is none.
-std::string_view label_in(std::string_view comment) {
+// The text after "NAME:" in a comment, without blanks around it; empty if there is none.
+std::string_view text_after(std::string_view name, std::string_view comment) {
   const auto trim = [&] {
     while (!comment.empty() && is_space(comment.front())) comment.remove_prefix(1);
     while (!comment.empty() && is_space(comment.back())) comment.remove_suffix(1);
   };
   trim();
-  if (!comment.starts_with(kLabel)) return {};
-  comment.remove_prefix(kLabel.size());
+  if (!comment.starts_with(name)) return {};
+  comment.remove_prefix(name.size());
+  if (!comment.starts_with(':')) return {};
+  comment.remove_prefix(1);
   trim();
   return comment;
 }
@@ -156,9 +158,13 @@ std::string quoted(std::string_view word) {
   return out + (word.size() > 40 ? "...'" : "'");
 }
 
+// How far R'R of a matrix R in a file may be from the identity: decimals are off by far less.
+constexpr double kMaxOffRotation = 1e-2;
+
 constexpr int dof_of(int dimension) { return dimension == 2 ? 3 : 6; }
 constexpr int dimension_of(PoseText pose) { return pose == PoseText::kXYTheta ? 2 : 3; }
 constexpr int width_of(PoseText pose) {
+  if (pose == PoseText::kMatrix) return 12;
   return pose == PoseText::kXYTheta ? 3 : pose == PoseText::kXYZRPY ? 6 : 7;
 }
 constexpr const char* words_of(PoseText pose) {
@@ -167,6 +173,8 @@ constexpr const char* words_of(PoseText pose) {
       return "x y theta";
     case PoseText::kXYZRPY:
       return "x y z roll pitch yaw";
+    case PoseText::kMatrix:
+      return "the upper three rows of a 4x4 matrix, row by row";
     default:
       return "x y z qx qy qz qw";
   }
@@ -185,14 +193,26 @@ class Parser {
         out_.vertex_ids.push_back(integer(line, *record));
         [[fallthrough]];
       case Kind::kPose:
-        if (record->kind == Kind::kPose) {
+      case Kind::kStampedPose: {
+        if (record->kind != Kind::kVertex) {
           out_.vertex_ids.push_back(static_cast<std::int64_t>(out_.vertex_ids.size()));
         }
         out_.vertex_lines.push_back(line.number());
+        std::string_view stamp;
+        if (record->kind == Kind::kStampedPose) {
+          stamp = Line(line).word();
+          numbers(line, *record, 1);
+        }
         numbers(line, *record, width_of(record->pose));
         end_of(line, *record);
         pose(line, *record, out_.vertex_poses);
+        if (stamp.empty()) stamp = text_after(kStamp, line.comment());
+        if (!stamp.empty()) {
+          out_.vertex_stamps.resize(out_.vertex_lines.size());
+          out_.vertex_stamps.back() = stamp;
+        }
         return;
+      }
       case Kind::kEdge:
         return edge(line, *record);
       case Kind::kFix:
@@ -206,6 +226,7 @@ class Parser {
 
   ParsedGraph take() {
     if (!out_.edge_labels.empty()) out_.edge_labels.resize(out_.edge_lines.size());
+    if (!out_.vertex_stamps.empty()) out_.vertex_stamps.resize(out_.vertex_lines.size());
     return std::move(out_);
   }
 
@@ -229,6 +250,7 @@ class Parser {
     std::string expected;
     const int dimension = dimension_of(record.pose), dof = dof_of(dimension);
     if (record.kind == Kind::kVertex) expected = "id ";
+    if (record.kind == Kind::kStampedPose) expected = "stamp ";
     if (record.kind == Kind::kEdge) expected = "from to ";
     expected += record.kind == Kind::kFix ? "id" : words_of(record.pose);
     if (record.kind == Kind::kEdge) {
@@ -293,6 +315,17 @@ class Parser {
       to.insert(to.end(), {v[0], v[1], v[2], q.x(), q.y(), q.z(), q.w()});
       return;
     }
+    if (record.pose == PoseText::kMatrix) {
+      const auto m = Eigen::Map<const Eigen::Matrix<double, 3, 4, Eigen::RowMajor>>(v);
+      const Eigen::Matrix3d r = m.leftCols<3>();
+      const double off = (r.transpose() * r - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
+      if (!(off <= kMaxOffRotation) || r.determinant() < 0) {
+        line.fail("the left 3x3 block of the matrix is no rotation");
+      }
+      const Eigen::Quaterniond q = Eigen::Quaterniond(r).normalized();
+      to.insert(to.end(), {v[3], v[7], v[11], q.x(), q.y(), q.z(), q.w()});
+      return;
+    }
     if (record.pose == PoseText::kXYZQuat && v[3] == 0 && v[4] == 0 && v[5] == 0 && v[6] == 0) {
       line.fail("the quaternion is zero: no rotation; expected qx qy qz qw of unit length");
     }
@@ -316,7 +349,7 @@ class Parser {
       information<6>(line, record);
     }
     end_of(line, record);
-    if (const std::string_view label = label_in(line.comment()); !label.empty()) {
+    if (const std::string_view label = text_after(kLabel, line.comment()); !label.empty()) {
       out_.edge_labels.resize(out_.edge_lines.size());
       out_.edge_labels.back() = label;
     }

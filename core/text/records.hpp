@@ -10,15 +10,17 @@
 
 namespace masat {
 
-// An edge's label is a comment at the end of its line: "# label: NAME".
-inline constexpr std::string_view kLabel = "label:";
+// Comments at the end of a line: "# label: NAME" of an edge, "# stamp: TIME" of a vertex.
+inline constexpr std::string_view kLabel = "label", kStamp = "stamp";
 
-enum class Kind { kVertex, kEdge, kFix, kPose };  // kPose: a vertex without an id
+// kPose: a vertex without an id; kStampedPose: its line begins with its stamp.
+enum class Kind { kVertex, kEdge, kFix, kPose, kStampedPose };
 
 enum class PoseText {
   kXYTheta,  // x y theta
   kXYZQuat,  // x y z qx qy qz qw
   kXYZRPY,   // x y z roll pitch yaw; the information refers to these angles
+  kMatrix,   // the upper three rows of the 4x4 matrix, row by row
 };
 
 enum class InformationText {
@@ -52,6 +54,7 @@ struct ParsedGraph {
   int dimension = 0;  // 0 if the text has neither a vertex nor an edge
   std::vector<std::int64_t> vertex_ids, vertex_lines;
   std::vector<double> vertex_poses;
+  std::vector<std::string> vertex_stamps;  // empty if no vertex has one; "" for a vertex without
   std::vector<std::int64_t> edge_ids, edge_lines;  // (from, to) pairs
   std::vector<double> measurements, information;
   std::vector<std::string> edge_labels;  // empty if no edge has one; "" for an edge without
@@ -67,10 +70,10 @@ ParsedGraph parse(std::string_view text, const std::vector<Record>& records);
 std::vector<std::pair<std::string, std::int64_t>> count_tags(std::string_view text);
 
 // Returns one line for each row: tag, integers, the shortest decimals that read back as the same
-// doubles, and the row's label, unless `labels` is empty.
+// doubles, and the comment "# NAME: LABEL", unless `labels` is empty.
 std::string format_lines(std::string_view tag, const std::int64_t* integers,
                          std::int64_t integer_columns, const double* values,
                          std::int64_t value_columns, std::int64_t rows,
-                         const std::vector<std::string>& labels);
+                         const std::vector<std::string>& labels, std::string_view name);
 
 }  // namespace masat

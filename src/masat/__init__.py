@@ -11,6 +11,7 @@ from typing import Any
 from masat.covariance import covariances, relative_covariances
 from masat.diagnostics import Diagnosis, diagnose
 from masat.errors import (
+    EvaluationError,
     FormatError,
     GraphError,
     InformationError,
@@ -19,6 +20,7 @@ from masat.errors import (
     MasatWarning,
     OptimizationError,
 )
+from masat.evaluation import Evaluation, PoseErrors, evaluate
 from masat.formats import read, write
 from masat.graph import PoseGraph
 from masat.initializers import initialize
@@ -31,6 +33,8 @@ from masat.solver import solve
 __all__ = [
     "Certificate",
     "Diagnosis",
+    "Evaluation",
+    "EvaluationError",
     "FormatError",
     "GraphError",
     "InformationError",
@@ -39,6 +43,7 @@ __all__ = [
     "MasatError",
     "MasatWarning",
     "OptimizationError",
+    "PoseErrors",
     "PoseGraph",
     "Result",
     "StopReason",
@@ -46,6 +51,7 @@ __all__ = [
     "certify",
     "covariances",
     "diagnose",
+    "evaluate",
     "initialize",
     "merge",
     "optimize",

@@ -16,6 +16,7 @@ Ids: TypeAlias = NDArray[np.int64]
 Indices: TypeAlias = NDArray[np.int32]
 Flags: TypeAlias = NDArray[np.bool_]
 Labels: TypeAlias = NDArray[np.int64] | NDArray[np.str_]
+Stamps: TypeAlias = NDArray[np.float64] | NDArray[np.int64]
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 
 from masat import _checks as checks
 from masat import _core, lie
-from masat.arrays import Flags, Floats, Ids, Indices, Labels
+from masat.arrays import Flags, Floats, Ids, Indices, Labels, Stamps
 from masat.errors import GraphError
+from masat.stamps import joined_stamps, node_stamps
 from masat.structure import Structure
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ def with_edges(
     labels: ArrayLike | None = None,
     ids: ArrayLike | None = None,
     poses: ArrayLike | None = None,
+    stamps: ArrayLike | None = None,
 ) -> PoseGraph:
     """See `PoseGraph.with_edges`."""
     size = lie.POSE_SIZE[graph.dimension]
@@ -43,6 +45,7 @@ def with_edges(
             f"graph, got {z.shape}"
         )
     new_ids, new_poses = _new_nodes(graph, pairs, ids, poses)
+    new_stamps = _new_stamps(graph, new_ids, stamps)
     nodes = np.concatenate([graph.ids, new_ids])
     order = np.argsort(nodes, kind="stable")
     nodes = nodes[order]
@@ -75,6 +78,7 @@ def with_edges(
         measurements=all_measurements,
         information=np.concatenate([graph.information, matrices]),
         labels=joined_labels([(graph.labels, len(graph.edges)), (given, len(pairs))]),
+        stamps=new_stamps if new_stamps is None else new_stamps[order],
     )
 
 
@@ -136,7 +140,8 @@ def relabel(graph: PoseGraph, to: Renaming) -> PoseGraph:
     if in_order:
         structure.share_connectivity(old)
     poses = graph.poses if in_order or graph.poses is None else graph.poses[order]
-    return _restructured(graph, structure, poses=poses)
+    stamps = graph.stamps if in_order or graph.stamps is None else graph.stamps[order]
+    return _restructured(graph, structure, poses=poses, stamps=stamps)
 
 
 def joined_labels(parts: list[tuple[Labels | None, int]]) -> Labels | None:
@@ -183,6 +188,22 @@ def _new_nodes(
     return nodes, checks.rotations(given.reshape(-1, size), "pose", nodes, "node")
 
 
+def _new_stamps(graph: PoseGraph, nodes: Ids, stamps: ArrayLike | None) -> Stamps | None:
+    """Return the stamps of the graph's nodes and of the new ones, in this order."""
+    given = node_stamps(stamps, nodes)
+    if graph.stamps is None and given is not None:
+        raise GraphError(
+            "the graph has no stamps, so its new nodes can have none: give it stamps first, with "
+            "`with_stamps`"
+        )
+    if graph.stamps is not None and given is None and len(nodes):
+        raise GraphError(
+            f"the graph has stamps, so its new node {nodes[0]} needs one: give `stamps`, or remove "
+            "all stamps with `with_stamps(None)`"
+        )
+    return graph.stamps if given is None else joined_stamps([graph.stamps, given])
+
+
 def _with_rest_placed(
     structure: Structure, placed: Indices, measurements: Floats, poses: Floats
 ) -> Floats:
@@ -216,6 +237,7 @@ def _with_rows(graph: PoseGraph, edges: Flags, nodes: Flags | None = None) -> Po
         measurements=graph.measurements[edges],
         information=graph.information[edges],
         labels=None if graph.labels is None else graph.labels[edges],
+        stamps=graph.stamps if nodes is None or graph.stamps is None else graph.stamps[nodes],
     )
 
 

@@ -77,5 +77,9 @@ class OptimizationError(MasatError, ValueError):
     """An optimization that cannot start as asked."""
 
 
+class EvaluationError(MasatError, ValueError):
+    """A comparison with the truth that is not possible as asked."""
+
+
 class MasatWarning(UserWarning):
     """Part of the input was skipped, assumed or repaired; the result is still valid."""

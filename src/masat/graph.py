@@ -7,11 +7,13 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from masat import _checks as checks
 from masat import _core, editing, lie, residuals
-from masat.arrays import Floats, Ids, Indices, Labels, locked
+from masat import stamps as times
+from masat.arrays import Floats, Ids, Indices, Labels, Stamps, locked
 from masat.errors import GraphError
 from masat.structure import Structure
 
@@ -50,6 +52,8 @@ class PoseGraph:
         Everything that the reader or the initial guess skipped, assumed or filled in.
     labels : ndarray of int64 or str, (m,), or None
         A label for each edge.
+    stamps : ndarray of float64 or int64, (n,), or None
+        Time of each node: seconds if float64, nanoseconds if int64.
     structure : Structure
         The connectivity, the gauge and the elimination order, which depend only on ids, edges and
         fixed nodes. Graphs that differ in nothing else share one structure.
@@ -63,6 +67,7 @@ class PoseGraph:
     fixed: Ids
     notes: tuple[str, ...] = field(default=())
     labels: Labels | None = field(default=None)
+    stamps: Stamps | None = field(default=None)
     structure: Structure = field(default=_NOT_MADE, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -79,6 +84,7 @@ class PoseGraph:
             measurements=locked(self.measurements),
             information=locked(self.information),
             labels=None if self.labels is None else locked(self.labels),
+            stamps=None if self.stamps is None else locked(self.stamps),
         )
 
     def __getstate__(self) -> dict[str, Any]:
@@ -101,6 +107,7 @@ class PoseGraph:
         fixed: int | Iterable[int] = (),
         notes: Iterable[str] = (),
         labels: ArrayLike | None = None,
+        stamps: ArrayLike | None = None,
     ) -> PoseGraph:
         """Check the arrays and make a graph of copies of them.
 
@@ -125,6 +132,9 @@ class PoseGraph:
         labels : array_like, (m,), optional
             One integer or short string an edge, such as the sensor or the session it comes from;
             or one for all edges. Strings have at most 64 characters and no control characters.
+        stamps : array_like, (n,), optional
+            Times of the nodes in the order of `ids`: floating-point numbers are seconds, integers
+            are nanoseconds.
 
         Returns
         -------
@@ -163,6 +173,9 @@ class PoseGraph:
         z = checks.rotations(z, "measurement", pairs, "edge")
         if given is not None:
             given = checks.rotations(given, "pose", nodes, "node")
+        stamped = times.node_stamps(stamps, nodes)
+        if stamped is not None:
+            stamped = stamped[np.argsort(nodes, kind="stable")]
         nodes, given = checks.ascending(nodes, given)
         checks.known_edges(nodes, pairs)
         fixed_ids = checks.row_of_integers("fixed", fixed)
@@ -176,6 +189,7 @@ class PoseGraph:
             fixed=fixed_ids,
             notes=tuple(notes),
             labels=checks.edge_labels(labels, len(pairs)),
+            stamps=stamped,
         )
         graph.structure.check_fixed(given)
         return graph
@@ -228,6 +242,46 @@ class PoseGraph:
             notes=tuple(dict.fromkeys([*self.notes, *notes])),
         )
 
+    def with_stamps(self, stamps: ArrayLike | None) -> PoseGraph:
+        """Return the graph with other stamps, (n,) in the order of `ids`, or with None."""
+        return replace(self, stamps=times.node_stamps(stamps, self.ids))
+
+    def pose_at(
+        self,
+        t: ArrayLike,
+        *,
+        nodes: ArrayLike | None = None,
+        max_gap: float | None = None,
+    ) -> Floats:
+        """Return the pose at a time between those of the nodes.
+
+        Between two nodes the body moves with constant velocity and constant angular velocity in
+        its own frame (`masat.lie.interpolate`). At the stamp of a node its pose is returned.
+
+        Parameters
+        ----------
+        t : float, int or array_like
+            Times in the unit of `stamps`: seconds, or integers of nanoseconds.
+        nodes : array_like of int, optional
+            Ids of the nodes to interpolate between, such as those of one robot. Default: all.
+        max_gap : float, optional
+            Largest time between two nodes that is interpolated, in the unit of `stamps`. Default:
+            no limit.
+
+        Returns
+        -------
+        ndarray, (..., 3) or (..., 7)
+            One pose for each time, in the shape of `t`.
+
+        Raises
+        ------
+        GraphError
+            If the graph has no poses or no stamps, if a time is before the first stamp or after the
+            last one, if two nodes have the same stamp, if the nodes before and after a time are
+            further apart than `max_gap`, or if they are in components with frames of their own.
+        """
+        return times.pose_at(self, t, nodes, max_gap)
+
     def with_root(self, root: ArrayLike) -> PoseGraph:
         """Return the graph with `root` as the gauge-fixed node of its component.
 
@@ -266,6 +320,7 @@ class PoseGraph:
         labels: ArrayLike | None = None,
         ids: ArrayLike | None = None,
         poses: ArrayLike | None = None,
+        stamps: ArrayLike | None = None,
     ) -> PoseGraph:
         """Return the graph with more edges and, if they name any, new nodes.
 
@@ -283,6 +338,8 @@ class PoseGraph:
             Poses of the new nodes. Default, if the graph has poses: a new node is placed by the
             measurements along the fewest edges from the nodes that the graph had. All others keep
             their poses.
+        stamps : array_like, (k,), optional
+            Times of the new nodes, in the order of `ids`. They are needed if the graph has stamps.
 
         Raises
         ------
@@ -291,7 +348,14 @@ class PoseGraph:
             but no edges lead to it. Edges are counted from 0 in `edges`.
         """
         return editing.with_edges(
-            self, edges, measurements, information, labels=labels, ids=ids, poses=poses
+            self,
+            edges,
+            measurements,
+            information,
+            labels=labels,
+            ids=ids,
+            poses=poses,
+            stamps=stamps,
         )
 
     def without_edges(self, which: ArrayLike) -> PoseGraph:
@@ -315,7 +379,7 @@ class PoseGraph:
         return editing.without_nodes(self, ids)
 
     def relabel(self, to: int | Mapping[int, int] | Callable[[int], int]) -> PoseGraph:
-        """Return the graph with other node ids; edges, fixed nodes and poses follow.
+        """Return the graph with other node ids; edges, fixed nodes, poses and stamps follow.
 
         Parameters
         ----------

@@ -106,6 +106,71 @@ def local(a: ArrayLike, b: ArrayLike) -> Floats:
     return steps.reshape(*shape, steps.shape[1])
 
 
+def interpolate(a: ArrayLike, b: ArrayLike, fraction: ArrayLike) -> Floats:
+    """Return a * exp(fraction * log(a^-1 * b)): the poses on the way from a to b.
+
+    The body moves with constant velocity and constant angular velocity in its own frame, the
+    shorter way around, so the path does not depend on the frame of the map, nor on which point of
+    the body the poses describe.
+
+    Parameters
+    ----------
+    a, b : array_like, (..., 3) or (..., 7)
+        Poses.
+    fraction : array_like, (...)
+        0 gives a, and 1 gives b.
+
+    Returns
+    -------
+    ndarray, (..., 3) or (..., 7)
+        Poses.
+    """
+    (first, second), shape = _rows(a, b)
+    s = np.broadcast_to(checks.numbers("fraction", fraction), shape).reshape(-1, 1)
+    step = _core.compose(_core.inverse(first), second)
+    planar = step.shape[1] == 3
+    spatial = to_3d(step)
+    t, v, w = spatial[:, :3], spatial[:, 3:6], spatial[:, 6:]
+    v = np.where(w < 0, -v, v)
+    sine = np.linalg.norm(v, axis=1, keepdims=True)
+    half = np.arctan2(sine, np.abs(w))
+    axis = np.divide(v, sine, out=np.zeros_like(v), where=sine > 0)
+    # log and exp cancel but for this: the part of t along the axis is scaled by s, the other by the
+    # ratio of two chords, and turned by half of the angle that is missing.
+    along = axis * np.einsum("ij,ij->i", axis, t)[:, None]
+    across = t - along
+    ratio = np.divide(np.sin(s * half), np.sin(half), out=s.copy(), where=half > 0)
+    turn = (s - 1) * half
+    moved = s * along + ratio * (np.cos(turn) * across + np.sin(turn) * np.cross(axis, across))
+    if planar:
+        part = np.hstack([moved[:, :2], s * step[:, 2:]])
+    else:
+        part = np.hstack([moved, np.sin(s * half) * axis, np.cos(s * half)])
+    return _core.compose(first, np.ascontiguousarray(part)).reshape(*shape, first.shape[1])
+
+
+def to_3d(a: ArrayLike) -> Floats:
+    """Return poses in 3D: those in 2D get z = 0 and their heading about the z axis.
+
+    Parameters
+    ----------
+    a : array_like, (..., 3) or (..., 7)
+        Poses.
+
+    Returns
+    -------
+    ndarray, (..., 7)
+        Poses.
+    """
+    poses = _poses(a)
+    if poses.shape[-1] == 7:
+        return poses
+    out = np.zeros((*poses.shape[:-1], 7))
+    out[..., :2] = poses[..., :2]
+    out[..., 5], out[..., 6] = np.sin(poses[..., 2] / 2), np.cos(poses[..., 2] / 2)
+    return out
+
+
 def _poses(a: ArrayLike) -> Floats:
     poses = checks.numbers("poses", a)
     if not poses.shape or poses.shape[-1] not in POSE_SIZE.values():

@@ -12,6 +12,7 @@ from masat.arrays import Ids
 from masat.editing import joined_labels, shifted
 from masat.errors import GraphError
 from masat.graph import PoseGraph
+from masat.stamps import joined_stamps
 from masat.structure import Structure
 
 
@@ -42,13 +43,15 @@ def merge(
     PoseGraph
         It has poses if all graphs have, each in the frame of its own graph: optimize before you
         compare poses of different graphs. All fixed nodes remain fixed. Edges without a label get
-        -1 among integers and the empty string among strings. A note tells what became of the poses.
+        -1 among integers and the empty string among strings. It has stamps if all graphs have.
+        Notes tell what became of the poses, and of stamps that are lost.
 
     Raises
     ------
     GraphError
-        If an id occurs in two graphs after the shift, if 2D and 3D graphs are mixed, or if the
-        edges between them fail the checks of `PoseGraph.with_edges`.
+        If an id occurs in two graphs after the shift, if 2D and 3D graphs, or stamps in seconds
+        and in nanoseconds, are mixed, or if the edges between them fail the checks of
+        `PoseGraph.with_edges`.
     """
     if isinstance(graphs, PoseGraph):
         raise GraphError("give the graphs to merge as a list")
@@ -85,6 +88,10 @@ def merge(
         missing = next(k for k in range(len(parts)) if k not in have)
         notes.append(f"the merged graph has no poses, since graph {missing} has none")
     structure.check_fixed(poses)
+    stamps = joined_stamps([part.stamps for part in parts])
+    if stamps is None and any(part.stamps is not None for part in parts):
+        missing = next(k for k, part in enumerate(parts) if part.stamps is None)
+        notes.append(f"the merged graph has no stamps, since graph {missing} has none")
     merged = PoseGraph(
         ids=structure.ids,
         poses=poses,
@@ -94,6 +101,7 @@ def merge(
         fixed=structure.fixed,
         notes=tuple(dict.fromkeys(notes)),
         labels=joined_labels([(part.labels, len(part.edges)) for part in parts]),
+        stamps=None if stamps is None else stamps[order],
         structure=structure,
     )
     if between is None:

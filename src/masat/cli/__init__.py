@@ -18,7 +18,8 @@ _COMMANDS = {
     "info": "Say what a pose graph is like and what is wrong with it.",
     "compare": "Solve a pose graph from every initial guess and compare.",
     "certify": "Tell whether the poses of a file are globally optimal.",
-    "convert": "Convert a pose graph to g2o.",
+    "evaluate": "Compare a map with the truth: ATE and RPE.",
+    "convert": "Convert a pose graph to another format.",
     "study": "Run and report the paper's evaluation, or a study of your own.",
     "simulate": "Simulate a world and write its pose graph.",
     "demo": "Simulate a world, solve it from every initial guess, draw it.",
@@ -49,8 +50,8 @@ class _Commands(click.Group):
 def cli() -> None:
     """Make maps of pose graphs: the back end of SLAM.
 
-    FILE is a pose graph in the format of g2o, TORO or iSAM, gzipped or not, recognized by its
-    content.
+    FILE is a pose graph in the format of g2o, TORO or iSAM, a trajectory in that of TUM or KITTI,
+    gzipped or not, or a saved result (.npz). It is recognized by its content.
 
     Exit codes: 0 done, 1 did not converge (the best result is still written), 2 bad input or usage.
     """

@@ -60,6 +60,7 @@ def certify(
     if out is not None:
         format_of(out)
     graph = options.load(file, file_format, indefinite, quiet)
+    options.check_stamps(graph, out)
     if graph.poses is None:
         raise MasatError(f"{file}: has no poses to certify; masat solve {file} makes a map")
     with Stages(file.name, quiet=quiet) as stages:

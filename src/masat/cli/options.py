@@ -10,17 +10,18 @@ import click
 
 from masat.errors import MasatError
 from masat.files import resolve_target
-from masat.formats import FORMATS, read
+from masat.formats import FORMATS, check_needs, format_of, read
 from masat.formats.text import MAX_BYTES
 from masat.graph import PoseGraph
 from masat.initializers import INITIALIZERS
-from masat.optimizers import LOSSES
+from masat.optimizers import LOSSES, Result
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 OPTIMIZERS = ("lm", "gn", "dogleg")
 _PICTURES = (".png", ".pdf", ".svg", ".jpg")
 
+_ZIP = b"PK\x03\x04"  # how the .npz files of results begin
 _MAX_BYTES = "masat.max_bytes"  # key of the context's notes
 
 
@@ -62,12 +63,29 @@ def graph_file(command: F) -> F:
 
 
 def load(file: Path, file_format: str | None, indefinite: Any, quiet: bool) -> PoseGraph:
-    """Read FILE and print its notes."""
+    """Read FILE, a graph or a saved result, and print its notes."""
     max_bytes = click.get_current_context().meta.get(_MAX_BYTES, MAX_BYTES)
-    graph = read(file, format=file_format, indefinite=indefinite, max_bytes=max_bytes)
+    if file_format is None and _is_saved_result(file):
+        graph = Result.load(file).graph
+    else:
+        graph = read(file, format=file_format, indefinite=indefinite, max_bytes=max_bytes)
     if not quiet:
         notes(graph.notes)
     return graph
+
+
+def _is_saved_result(file: Path) -> bool:
+    if not file.is_file():
+        return False
+    with file.open("rb") as content:
+        return content.read(len(_ZIP)) == _ZIP
+
+
+def check_stamps(graph: PoseGraph, *targets: Path | None) -> None:
+    """Refuse, before the work begins, files whose format needs stamps that the graph lacks."""
+    for target in targets:
+        if target is not None:
+            check_needs(graph, target, FORMATS[format_of(target)], ("stamps",))
 
 
 def notes(texts: tuple[str, ...]) -> None:

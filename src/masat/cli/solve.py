@@ -21,7 +21,7 @@ from masat.solver import solve as solved
 )
 @options.graph_file
 @click.option(
-    "-o", "--output", "out", type=click.Path(path_type=Path), help="Map, in g2o; .gz gzips it."
+    "-o", "--output", "out", type=click.Path(path_type=Path), help="Map: .g2o, .tum or .kitti."
 )
 @click.option(
     "--plot", "picture", type=click.Path(path_type=Path), help="Picture, before and after."
@@ -94,6 +94,7 @@ def solve(
     begin = perf_counter()
     graph = options.load(file, file_format, indefinite, quiet)
     read_seconds = perf_counter() - begin
+    options.check_stamps(graph, out, rejected)
     stages = Stages(f"{file.name}  {init}", quiet=quiet)
     iterations = Iterations(file.name, max_iterations, quiet=quiet)
     with stages, iterations:

@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from masat.formats.reading import read
 from masat.formats.registry import FORMATS
-from masat.formats.writing import format_of, write
+from masat.formats.writing import check_needs, format_of, write
 
-__all__ = ["FORMATS", "format_of", "read", "write"]
+__all__ = ["FORMATS", "check_needs", "format_of", "read", "write"]

@@ -12,6 +12,7 @@ import numpy as np
 from masat._core import format_lines
 from masat.errors import GraphError
 from masat.formats.labels import label_texts
+from masat.formats.stamps import stamp_texts
 from masat.formats.table import Format, Kind, PoseText, Record
 from masat.graph import PoseGraph
 
@@ -22,12 +23,19 @@ def format_graph(graph: PoseGraph) -> bytes:
     """Return the graph as g2o text, whose numbers read back as the same doubles."""
     if graph.poses is None and len(graph.edges) == 0:
         raise GraphError("a graph with neither poses nor edges cannot be written")
+    if graph.poses is None and graph.stamps is not None:
+        raise GraphError(
+            "the stamps cannot be written, since a graph without poses has no lines of vertices: "
+            "give it poses with masat.initialize, or remove the stamps with `with_stamps(None)`"
+        )
     labels = getattr(graph, "labels", None)
     vertex, edge = _TAGS[graph.dimension]
     upper = np.triu_indices(graph.dof)
     values = np.hstack([graph.measurements, graph.information[:, upper[0], upper[1]]])
     if graph.poses is not None:
-        vertices, fixed = format_lines(vertex, graph.ids[:, None], graph.poses), graph.fixed
+        stamps = [] if graph.stamps is None else stamp_texts(graph.stamps)
+        vertices = format_lines(vertex, graph.ids[:, None], graph.poses, stamps, "stamp")
+        fixed = graph.fixed
     else:
         # A node with neither pose nor edge has no line that FIX could refer to.
         vertices, fixed = b"", graph.fixed[np.isin(graph.fixed, graph.edges)]

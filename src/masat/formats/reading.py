@@ -12,10 +12,11 @@ from typing import Any, get_args
 import numpy as np
 
 from masat import _core
-from masat.arrays import Floats
+from masat.arrays import Floats, Stamps
 from masat.errors import FormatError, GraphError, InformationError, MasatWarning
 from masat.formats.labels import read_labels
 from masat.formats.registry import FORMATS, printable, recognize
+from masat.formats.stamps import read_seconds, read_stamps
 from masat.formats.table import Format
 from masat.formats.text import MAX_BYTES, load_text
 from masat.graph import PoseGraph
@@ -84,14 +85,16 @@ def read_without_warnings(
     if not isinstance(max_bytes, int) or max_bytes < 1:
         raise FormatError(f"max_bytes must be a positive integer, got {max_bytes!r}", path)
     try:
-        parsed, notes = _parse(path, format, max_bytes)
-        return _graph(parsed, path, indefinite, notes)
+        table, parsed, notes = _parse(path, format, max_bytes)
+        return _graph(table, parsed, path, indefinite, notes)
     except MemoryError:
         raise FormatError("there is not enough memory to read this file", path) from None
 
 
-def _parse(path: Path, name: str | None, max_bytes: int) -> tuple[_core.ParsedGraph, list[str]]:
-    """Return the contents of a file and the notes about them."""
+def _parse(
+    path: Path, name: str | None, max_bytes: int
+) -> tuple[Format, _core.ParsedGraph, list[str]]:
+    """Return the format of a file, its contents and the notes about them."""
     text = load_text(path, max_bytes)
     table, notes = _format(name, text, path)
     try:
@@ -99,7 +102,7 @@ def _parse(path: Path, name: str | None, max_bytes: int) -> tuple[_core.ParsedGr
     except _core.ParseError as error:
         line, message = error.args
         raise FormatError(message, path, line) from None
-    return parsed, notes + _notes(parsed)
+    return table, parsed, notes + _notes(parsed)
 
 
 def _format(name: str | None, text: bytes, path: Path) -> tuple[Format, list[str]]:
@@ -137,7 +140,11 @@ def _count(number: int, noun: str) -> str:
 
 
 def _graph(
-    parsed: _core.ParsedGraph, path: Path, indefinite: Repair, notes: list[str]
+    table: Format,
+    parsed: _core.ParsedGraph,
+    path: Path,
+    indefinite: Repair,
+    notes: list[str],
 ) -> PoseGraph:
     ids, edges = parsed["vertex_ids"], parsed["edge_ids"]
     with_vertices = len(ids) > 0
@@ -155,6 +162,11 @@ def _graph(
     if parsed["edge_labels"] is not None and "labels" in {f.name for f in fields(PoseGraph)}:
         optional["labels"] = read_labels(parsed["edge_labels"])
 
+    try:
+        stamps = _stamps(table, parsed)
+    except GraphError as error:
+        raise FormatError(str(error), path, _line(parsed, error)) from None
+
     def build(matrices: Floats) -> PoseGraph:
         return PoseGraph.from_arrays(
             edges,
@@ -164,6 +176,7 @@ def _graph(
             poses=parsed["vertex_poses"] if with_vertices else None,
             fixed=parsed["fixed_ids"],
             notes=notes,
+            stamps=stamps,
             **optional,
         )
 
@@ -188,6 +201,15 @@ def _graph(
             return build(repaired)
     except GraphError as error:
         raise FormatError(str(error), path, _line(parsed, error)) from None
+
+
+def _stamps(table: Format, parsed: _core.ParsedGraph) -> Stamps | None:
+    texts = parsed["vertex_stamps"]
+    if texts is None:
+        return None
+    if "stamps" in table.needs:
+        return read_seconds(texts)
+    return read_stamps(texts, parsed["vertex_ids"])
 
 
 def _line(parsed: _core.ParsedGraph, error: GraphError) -> int | None:

@@ -6,14 +6,22 @@ from pathlib import Path
 
 from masat import _core
 from masat.errors import FormatError
-from masat.formats import g2o, isam, toro, untagged
+from masat.formats import g2o, isam, kitti, toro, tum, untagged
 from masat.formats.table import Format
 
 # Where two formats know equally many lines of a file, the earlier one is taken. A TORO file with
 # EDGE2 has VERTEX2 lines too, so a file with EDGE2 alone is iSAM's.
 FORMATS: dict[str, Format] = {
     f.name: f
-    for f in (g2o.FORMAT, isam.FORMAT, toro.FORMAT, untagged.TRAJECTORY, untagged.EDGE_LIST)
+    for f in (
+        g2o.FORMAT,
+        isam.FORMAT,
+        toro.FORMAT,
+        tum.FORMAT,
+        kitti.FORMAT,
+        untagged.TRAJECTORY,
+        untagged.EDGE_LIST,
+    )
 }
 
 

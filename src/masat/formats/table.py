@@ -32,6 +32,8 @@ class Format:
         Function that returns the text of a graph; None if the format can only be read.
     suffixes : tuple of str
         Suffixes of the files that are written in this format.
+    needs : tuple of str
+        What only graphs that have it can be written: "poses", "stamps".
     """
 
     name: str
@@ -40,6 +42,7 @@ class Format:
     columns: tuple[int, ...] = ()
     format_graph: Callable[[PoseGraph], bytes] | None = None
     suffixes: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
 
     def tags(self) -> set[bytes]:
         """Return the tags as `count_tags` names them."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from masat.errors import FormatError
 from masat.files import write_atomically
 from masat.formats.registry import FORMATS
+from masat.formats.table import Format
 from masat.graph import PoseGraph
 
 
@@ -20,7 +21,8 @@ def write(
 ) -> None:
     """Write a graph to a file, compressed by gzip if its name ends in .gz.
 
-    The file appears complete or not at all, and reading it gives the same numbers.
+    The file appears complete or not at all. Reading a g2o file gives the same numbers. The formats
+    of trajectories hold less: "tum" the poses and stamps, "kitti" the poses alone.
 
     Parameters
     ----------
@@ -35,20 +37,44 @@ def write(
     Raises
     ------
     FormatError
-        If no format of this name, or for a file of this name, can be written.
+        If no format of this name, or for a file of this name, can be written; or if the graph lacks
+        what the format needs: a trajectory has poses, and one in the format of TUM stamps.
+    GraphError
+        If the format has no place for what the graph holds, such as two poses at the same time.
     OSError
         If the file cannot be written, naming it.
     """
     path = Path(path)
-    writable = {name: f.format_graph for name, f in FORMATS.items() if f.format_graph}
-    if format is None:
-        format = format_of(path)  # noqa: A001
-    if not isinstance(format, str) or format not in writable:
-        raise FormatError(f"cannot write the format {format!r}; known: {', '.join(writable)}", path)
-    text = writable[format](graph)
+    table = _writable(format_of(path) if format is None else format, path)
+    check_needs(graph, path, table)
+    assert table.format_graph is not None
+    text = table.format_graph(graph)
     if path.suffix.lower() == ".gz":
         text = gzip.compress(text, mtime=0)
     write_atomically(path, text)
+
+
+def check_needs(
+    graph: PoseGraph, path: Path, table: Format, what: tuple[str, ...] = ("poses", "stamps")
+) -> None:
+    """Refuse a graph without what a format needs, of the things that are checked."""
+    for name in what:
+        if name in table.needs and getattr(graph, name) is None:
+            advice = {
+                "poses": "make a map first, with masat.solve (masat solve)",
+                "stamps": "give it stamps with `with_stamps`, or write a KITTI trajectory (.kitti)",
+            }
+            raise FormatError(
+                f"the graph has no {name}, which the format {table.name!r} needs: {advice[name]}",
+                path,
+            )
+
+
+def _writable(name: str, path: Path) -> Format:
+    writable = [form.name for form in FORMATS.values() if form.format_graph]
+    if not isinstance(name, str) or name not in writable:
+        raise FormatError(f"cannot write the format {name!r}; known: {', '.join(writable)}", path)
+    return FORMATS[name]
 
 
 def format_of(path: str | os.PathLike[str]) -> str:

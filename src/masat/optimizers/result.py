@@ -186,6 +186,7 @@ class Result:
         }
         optional: dict[str, Any] = {
             "labels": graph.labels,
+            "stamps": graph.stamps,
             "weights": self.weights,
             "kept": self.kept,
             "closures": self.closures,
@@ -231,6 +232,7 @@ class Result:
                     fixed=arrays["fixed"],
                     notes=about["notes"],
                     labels=arrays.get("labels"),
+                    stamps=arrays.get("stamps"),
                 ).with_root(arrays["gauge"])
                 return cls(
                     graph=graph,

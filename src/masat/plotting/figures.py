@@ -90,7 +90,7 @@ def plot(
     rows = -(-len(panels) // columns)
     size = float(np.clip(_PAGE / columns, _SMALLEST_PANEL, _LARGEST_PANEL))
     figure = Picture(figsize=(size * columns, size * rows), dpi=dpi, layout="constrained")
-    file_format = "png" if path is None else _file_format(Path(path), figure)
+    file_format = "png" if path is None else picture_format(Path(path), figure)
     color = _error_scale(panels) if color_by_error else None
     style = Style(
         axes=drawn_axes([g for g in panels.values() if g.dimension == 3], view),
@@ -113,7 +113,8 @@ def plot(
     return figure
 
 
-def _file_format(path: Path, figure: Picture) -> str:
+def picture_format(path: Path, figure: Picture) -> str:
+    """Return the format of a picture by the ending of its file; an unknown one: MasatError."""
     chosen = path.suffix[1:].lower() or "png"
     known = figure.canvas.get_supported_filetypes()
     if chosen not in known:

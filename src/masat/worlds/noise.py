@@ -88,6 +88,7 @@ def perturb(graph: PoseGraph, sigma: Sequence[float], *, seed: int = 0) -> PoseG
         poses=graph.poses,
         fixed=graph.fixed.tolist(),
         notes=graph.notes,
+        stamps=graph.stamps,
     )
 
 
