@@ -176,10 +176,17 @@ def decide(
         rest = trusting.copy()
         rest[joining_closures(Closures(graph, rest))] = True
         without = best_scaled(graph, rest, progress)
-        if without.cost + _PRICE_OF_RELEASE * FAR_GATE[graph.dof] > best.cost:
+        saved = best.cost - without.cost
+        if saved < _PRICE_OF_RELEASE * FAR_GATE[graph.dof] or _new_clusters(best, without) < 2:
             break
         best = without
     return _decision(best, closures.trusted, progress.over)
+
+
+def _new_clusters(best: Hypothesis, other: Hypothesis) -> int:
+    """Return how many clusters another hypothesis believes that the best one rejects."""
+    believed = other.closures.kept_edges(other.growth.kept)[best.closures.edges]
+    return len(np.unique(best.growth.runs[believed & ~best.growth.kept]))
 
 
 def _decision_of_fit(closures: Closures, fit: Fit) -> Decision:

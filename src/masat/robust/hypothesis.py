@@ -133,11 +133,11 @@ def _better_scales(hypothesis: Hypothesis) -> Scales | None:
     if int(kept.sum()) < _MIN_KEPT:
         # Perhaps since all information is too large. Pairs of one place tell.
         pairs = closures.pairs
-        if len(pairs) < _MIN_KEPT:
+        if len(pairs) < _MIN_KEPT or hypothesis.used != (1.0, 1.0):
             return None
         between = agreement(closures, hypothesis.growth.poses, pairs)
         common = float(np.quantile(between, 0.25)) / QUARTILE[closures.graph.dof]
-        found = Scales(common, common) if common > 1 else Scales(None, None)
+        found = Scales(common, common) if common > _MAX_RATIO else Scales(None, None)
     factors = _factors(found, hypothesis.used)
     if factors == (1.0, 1.0):
         return None

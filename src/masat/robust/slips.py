@@ -12,7 +12,7 @@ from masat.robust.growth import Growth
 # Clusters of closures that have to contradict an edge.
 _MIN_CLUSTERS = 2
 # Two corrections are the same if they differ by less than this fraction of them, and this angle.
-_SAME, _SAME_ANGLE = 0.25, 0.02
+_SAME, _SAME_ANGLE = 0.1, 0.02
 
 
 def suspected_slip(closures: Closures, growth: Growth) -> int | None:
