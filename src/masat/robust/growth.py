@@ -28,6 +28,8 @@ _MAX_LOST = 0.3
 _FEW = 0.15
 # Squared distances beyond this many gates are not looked at again until nothing else is left.
 _HOPELESS = 100.0
+# Gates within which a group has to be for its members to be predicted one by one.
+_MAX_DIFFERENCE = 4.0
 
 
 class Growth:
@@ -106,7 +108,7 @@ class Growth:
                 predicted = self.kept.copy()
                 self.refused[:] = False
                 self._predict_runs(~self.kept)
-                self._predict(np.flatnonzero(~self.kept & ~self._hopeless))
+                self._predict(np.flatnonzero(~self.kept & self._borrowed & self._near_gate))
                 fresh = True
         self._refine()
 
@@ -152,18 +154,28 @@ class Growth:
         return ~self.kept & ~self.banned & self.supported & ~self._hopeless
 
     def finish(self) -> None:
-        """Predict all closures that are not kept, and believe the likely ones among them."""
-        self._predict(np.flatnonzero(~self.kept))
+        """Predict the closures that are not kept, and believe the likely ones among them."""
+        self._predict_plausible()
         likely = self._likely(_FINAL_ODDS)
         if len(likely):
             self.believe(likely)
             self._refine()
-            self._predict(np.flatnonzero(~self.kept))
+            self._predict_plausible()
+
+    def _predict_plausible(self) -> None:
+        """Predict one closure for each few, and all of the groups that nearly fit."""
+        self._predict_runs(~self.kept & ~self._hopeless)
+        self._predict(np.flatnonzero(~self.kept & self._borrowed & self._near_gate))
 
     @property
     def _hopeless(self) -> Flags:
         """Closures so far from their prediction that they are looked at last, (c,)."""
         return self.distance > _HOPELESS * GATE[self._closures.graph.dof]
+
+    @property
+    def _near_gate(self) -> Flags:
+        """Closures that may fit although another one of their group does not quite, (c,)."""
+        return self.distance < _MAX_DIFFERENCE * GATE[self._closures.graph.dof]
 
     def copy(self) -> Growth:
         """Return a growth that can be tried without changing this one."""

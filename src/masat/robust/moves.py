@@ -13,8 +13,10 @@ from masat.robust.closures import GATE, Closures
 from masat.robust.growth import Growth
 from masat.robust.objective import cost, of_run
 
-# Trials after which no other is made.
-_MAX_TRIALS = {True: 8, False: 4}
+# Trials after which no other is made: of adding and of taking out; where closures are few, each
+# counts, and a trial costs little.
+_MAX_TRIALS = {True: 3, False: 3}
+_MAX_TRIALS_OF_FEW, _FEW = {True: 8, False: 4}, 200
 # It takes as many plausible closures that are rejected to doubt kept ones.
 _MIN_BLOCKED = 5
 # Squared distance, in prices of a group, beyond which adding it is not tried; and in gates, beyond
@@ -77,7 +79,8 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
     """
     best = Decided(growth, cost(closures, growth.kept, growth.chi2), None, np.inf)
     tried: set[Move] = set()
-    left = dict(_MAX_TRIALS)
+    limits = _MAX_TRIALS_OF_FEW if len(closures) <= _FEW else _MAX_TRIALS
+    left = dict(limits)
     while not progress.over:
         open_moves = (move for move in _moves(closures, best.growth, first) if move not in tried)
         move = next((move for move in open_moves if left[move.into]), None)
@@ -96,7 +99,7 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
             # What was refused may be right beside the new map.
             tried = {move}
             if gain > _LARGE_GAIN * GATE[closures.graph.dof]:
-                left = dict(_MAX_TRIALS)
+                left = dict(limits)
         elif found < best.other_cost and (trial.kept != best.growth.kept).any():
             best = best._replace(other=trial.kept, other_cost=found)
     return best

@@ -9,8 +9,11 @@ from masat.arrays import Ids
 from masat.robust.closures import Closures
 from masat.robust.growth import Growth
 
-# Clusters of closures that have to contradict an edge.
-_MIN_CLUSTERS = 2
+# Clusters of closures that have to contradict an edge; one more if of so many false ones some may
+# agree by chance.
+_MIN_CLUSTERS, _MANY = 2, 50
+# Fraction of the clusters across an edge that have to agree how wrong it is.
+_MIN_AGREEING = 0.5
 # Two corrections are the same if they differ by less than this fraction of them, and this angle.
 _SAME, _SAME_ANGLE = 0.1, 0.02
 
@@ -38,19 +41,31 @@ def suspected_slip(closures: Closures, growth: Growth) -> int | None:
     # Other trusted edges and kept closures confirm the steps that they span.
     confirming = np.concatenate([np.sort(ends[~odometry], axis=1), closures.ends[growth.kept]])
     confirmed = _spans(confirming, n) > 0
+    open_steps = np.concatenate([[0], np.cumsum(~confirmed & (steps >= 0))])
+    across = open_steps[closures.ends[:, 1]] > open_steps[closures.ends[:, 0]]
     # One closure speaks for each group, if the group is more than one.
     group = growth.spokesman
     rejected = np.bincount(group[~growth.kept & growth.supported], minlength=len(closures)) > 1
-    against = _agreeing(closures, growth, np.flatnonzero(rejected))
-    # Closures of one place have one cause: a cluster counts once.
-    _, single = np.unique(growth.runs[against], return_index=True)
-    spans = _spans(closures.ends[against[single]], n)
-    spans[confirmed | (steps < 0)] = 0
-    most = int(spans.max(initial=0))
-    if most < _MIN_CLUSTERS:
+    judged = np.flatnonzero(rejected & across)
+    clusters = len(np.unique(growth.runs[rejected]))
+    needed = _MIN_CLUSTERS if clusters <= _MANY else _MIN_CLUSTERS + 1
+    if len(np.unique(growth.runs[judged])) < needed:
         return None
-    places = np.flatnonzero(spans == most)
+    spans = _spans(_one_of_each(closures, growth, judged), n)
+    against = _spans(_one_of_each(closures, growth, _agreeing(closures, growth, judged)), n)
+    against[confirmed | (steps < 0) | (against < _MIN_AGREEING * spans)] = 0
+    most = int(against.max(initial=0))
+    if most < needed:
+        return None
+    places = np.flatnonzero(against == most)
     return int(steps[places[len(places) // 2]])
+
+
+def _one_of_each(closures: Closures, growth: Growth, chosen: Ids) -> Ids:
+    """Return the ends of one closure of each cluster: those of one place have one cause."""
+    _, first = np.unique(growth.runs[chosen], return_index=True)
+    ends: Ids = closures.ends[chosen[first]]
+    return ends
 
 
 def _agreeing(closures: Closures, growth: Growth, chosen: Ids) -> Ids:
