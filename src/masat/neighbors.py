@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from masat import lie
+from masat import _core, lie
 from masat.arrays import Floats, Ids
+from masat.chain import odometry_edges
 from masat.graph import PoseGraph
-from masat.initializers.odometry import odometry, odometry_edges
 
 # Loop closures are neighbors if both their ends lie in the same block of this many nodes.
 _BLOCK = 10
@@ -59,8 +59,11 @@ def neighbor_scale(graph: PoseGraph) -> float | None:
 
 def _distances(graph: PoseGraph, pairs: Ids, ends: Ids, z: Floats, closures: Ids) -> Floats:
     """Return about the chi2 of the cycles that pairs of loop closures make, (p,)."""
-    poses = odometry(graph).poses
-    assert poses is not None
+    roots = graph.index(graph.gauge).astype(np.int32)
+    poses = np.tile(lie.identity(graph.dimension), (len(graph), 1))
+    poses, _ = _core.place_along_tree(
+        graph.topology, roots, odometry_edges(graph), graph.measurements, poses
+    )
     i, j = pairs.T
     a, b = ends.T
     there = lie.between(poses[a[j]], poses[a[i]])

@@ -7,10 +7,10 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from masat.arrays import Flags, Floats, Ids
+from masat.chain import odometry_edges
 from masat.covariance import relative_covariances
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
-from masat.initializers.odometry import odometry_edges
 from masat.neighbors import neighbor_scale
 from masat.residuals import residuals
 

@@ -118,20 +118,14 @@ def solve(
         options.notes(result.graph.notes[len(graph.notes) :])
     if out is not None:
         write(result.graph, out)
-    left_out = None
-    if result.kept is not None:
-        left_out = graph.without_edges(result.kept).with_poses(result.poses)
-        if rejected is not None:
-            write(left_out, rejected)
+    if rejected is not None and result.kept is not None:
+        write(graph.without_edges(result.kept).with_poses(result.poses), rejected)
     if save is not None:
         result.save(save)
     if picture is not None:
         from masat.plotting import before_and_after, plot
 
-        panels = before_and_after(graph, result.graph)
-        if left_out is not None:
-            panels["rejected loop closures"] = left_out
-        plot(panels, picture)
+        plot(before_and_after(graph, result), picture)
     times = {
         "read": read_seconds,
         "initial guess": result.init_seconds,
