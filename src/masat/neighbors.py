@@ -39,7 +39,8 @@ def neighbor_scale(graph: PoseGraph) -> float | None:
     float or None
         None if the graph has too few pairs of neighboring loop closures.
     """
-    closures = np.flatnonzero(~odometry_edges(graph))
+    apart = np.abs(np.diff(graph.edge_indices, axis=1)).ravel() > 1
+    closures = np.flatnonzero(apart)
     ends = graph.edge_indices[closures].astype(np.int64)
     z = graph.measurements[closures].copy()
     backward = ends[:, 0] > ends[:, 1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -70,7 +70,7 @@ def load(file: Path, file_format: str | None, indefinite: Any, quiet: bool) -> P
     return graph
 
 
-def notes(texts: tuple[str, ...]) -> None:
+def notes(texts: Iterable[str]) -> None:
     """Print remarks on standard error."""
     for text in texts:
         click.echo(f"note: {text}", err=True)
