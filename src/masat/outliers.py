@@ -30,9 +30,10 @@ _LEAST_REDUNDANCY = 0.01
 # public graphs below one of the two; graphs with one false loop closure in ten, at the information
 # that fits the rest, exceed 38 and 380 times.
 _MAX_REDUCED, _MAX_RATIO = 2.0, 100.0
-# Without neighbors to compare with, a reduced chi2 is suspicious above this number: that of a clean
-# public graph is at most 19.
-_MAX_REDUCED_ALONE = 100.0
+# A reduced chi2 above the first number is suspicious whatever the neighbors, most of which may be
+# false, and above the second where there are no neighbors to compare with. Clean public graphs have
+# up to 19 and 5.8.
+_MAX_REDUCED_ANYHOW, _MAX_REDUCED_ALONE = 100.0, 8.0
 
 _REMEDY = "some loop closures are false (robust=True, or --robust, decides which to believe)"
 
@@ -116,7 +117,7 @@ def describe_outliers(graph: PoseGraph, minimum: Minimum = "any") -> tuple[str, 
     causes = [_REMEDY]
     if minimum == "any":
         causes.append("this is a local minimum (init='auto' searches for lower ones)")
-    if is_wrong or reduced > _MAX_REDUCED_ALONE:
+    if is_wrong or _is_too_large(graph, reduced):
         # The whole map is bent: what it would be without one edge tells little and takes long.
         far = _closures_first(graph, np.flatnonzero(chi2 > _FAR * _GATE[graph.dof]), chi2)
         said = f"the map cannot be right: its reduced chi2 is {reduced:.3g}"
@@ -158,6 +159,13 @@ def is_description(note: str) -> bool:
 def _reduced(graph: PoseGraph, chi2: float) -> float:
     free = len(graph.ids) - len(graph.gauge)
     return chi2 / max(graph.dof * (len(graph.edges) - free), 1)
+
+
+def _is_too_large(graph: PoseGraph, reduced: float) -> bool:
+    """Whether a reduced chi2 is too large for a map that can be trusted, for whatever reason."""
+    if reduced <= _MAX_REDUCED_ALONE:
+        return False
+    return reduced > _MAX_REDUCED_ANYHOW or neighbor_scale(graph) is None
 
 
 def _is_doubtful(graph: PoseGraph) -> bool:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 # Dark blue and vermilion: with every kind of color blindness one is dark and the other light.
 TRAJECTORY, CLOSURES = "#12436d", "#ed6a0f"
 # Reddish purple, dashed: as light as the loop closures, which are in another panel.
-REJECTED = "#c2579b"
+REJECTED = "#d17ab3"
 # Points of a dash and of the gap after it, however thin the line.
 _DASH, _GAP = 4.0, 2.0
 CLOSURES_LABEL, REJECTED_LABEL = "loop closures", "rejected loop closures"
