@@ -10,7 +10,7 @@ import numpy as np
 import masat
 from benchmarks.data import DATA
 from masat.arrays import Flags
-from masat.initializers.odometry import odometry_edges
+from masat.chain import odometry_edges
 
 FOLDER = DATA / "false_closures"
 

@@ -29,7 +29,7 @@ from benchmarks.threads import single_threaded
 from benchmarks.with_gtsam import poses_of
 from masat import PoseGraph
 from masat.arrays import Floats
-from masat.initializers.odometry import odometry_edges
+from masat.chain import odometry_edges
 from masat.study.closure_trial import Spoiled, unsolved
 from masat.study.robust_methods import METHODS, Answer, RobustMethod
 from masat.study.scores import Scores, score

@@ -12,7 +12,7 @@ import masat
 from benchmarks.data import DATA
 from benchmarks.graphs import quietly_read
 from masat import PoseGraph
-from masat.initializers.odometry import odometry_edges
+from masat.chain import odometry_edges
 from masat.study.closure_trial import Spoiled, unsolved
 from masat.study.names import number_name
 from masat.worlds import add_false_closures, grid, normalized, perturb

@@ -6,8 +6,8 @@ import pytest
 
 import masat
 from masat import GraphError, PoseGraph, lie
+from masat.chain import odometry_edges
 from masat.cli import main
-from masat.initializers.odometry import odometry_edges
 from masat.residuals import residuals
 from masat.worlds import add_false_closures, grid, manhattan, normalized, perturb
 from masat.worlds.false_closures import KINDS

@@ -1,5 +1,6 @@
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +10,11 @@ from random_graphs import random_graph
 
 import masat
 from masat import GraphError, MasatError, PoseGraph, lie
+from masat.optimizers import Result
 from masat.plotting import before_and_after
 from masat.plotting import panel as panel_module
-from masat.plotting.panel import CLOSURES, TRAJECTORY, occupied, stroke
-from masat.worlds import manhattan
+from masat.plotting.panel import CLOSURES, REJECTED, TRAJECTORY, occupied, stroke
+from masat.worlds import add_false_closures, grid, manhattan, perturb
 
 PNG = b"\x89PNG"
 
@@ -80,6 +82,7 @@ def test_color_blind_people_tell_loop_closures_from_the_trajectory(kind):
 
     # The contrast ratio of WCAG 2; 1 is none.
     assert (luminance(CLOSURES) + 0.05) / (luminance(TRAJECTORY) + 0.05) > 2
+    assert (luminance(REJECTED) + 0.05) / (luminance(TRAJECTORY) + 0.05) > 2
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -340,3 +343,64 @@ def test_before_and_after_of_real_graphs_differ(name, data_dir):
     before, after = before_and_after(graph, result.graph).values()
     assert masat.residuals.chi2_per_edge(before).sum() > 2 * result.chi2
     assert after is result.graph
+
+
+def robust_result(dimension, kind="random"):
+    """A robust solve that rejects some loop closures, and which edges were false."""
+    world = manhattan(300, 420, seed=1) if dimension == 2 else grid(125, 230, seed=1)
+    clean = perturb(world, [0.02, 0.02, 0.01] if dimension == 2 else [0.02, 0.01], seed=1)
+    spoiled, is_false = add_false_closures(clean, kind, 0.2, seed=3)
+    return spoiled, masat.solve(spoiled, robust=True), is_false
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("color_by_error", [False, True])
+def test_rejected_closures_have_a_panel_of_their_own(dimension, color_by_error):
+    _, result, _ = robust_result(dimension)
+    count = np.count_nonzero(~result.kept)
+    assert count > 0
+    figure = masat.plot(result, view="top", color_by_error=color_by_error)
+    kept, rejected = figure.axes[:2]
+    assert (kept.get_title(), rejected.get_title()) == ("map", "rejected loop closures")
+    total = len(result.closures)
+    (caption,) = [text.get_text() for text in rejected.texts]
+    assert caption == f"{count} of {total} loop closures"
+    chain, dashed = lines(rejected)
+    assert len(dashed.get_segments()) == count
+    assert np.allclose(dashed.get_color()[0][:3], to_rgb(REJECTED))
+    ((_, pattern),) = dashed.get_linestyle()
+    assert len(pattern) == 2
+    # Each line lies where its two nodes do.
+    table = result.closures[~result.closures["kept"]]
+    ends = result.graph.index([table["from"][0], table["to"][0]])
+    assert np.allclose(dashed.get_segments()[0], result.poses[ends, :2])
+    assert len(chain.get_segments()) == len(result.graph) - 1
+    drawn = sum(len(line.get_segments()) for line in lines(kept))
+    assert drawn == len(result.graph.edges)
+    assert "rejected loop closures" in legend(figure)
+
+
+def test_a_result_without_a_decision_has_one_panel():
+    assert len(masat.plot(masat.solve(manhattan(100, 150, extent=8))).axes) == 1
+
+
+def test_a_decision_that_rejected_nothing_has_one_panel():
+    _, result, _ = robust_result(2)
+    table = result.closures.copy()
+    table["kept"] = True
+    everything = replace(result, decision=replace(result.decision, closures=table))
+    assert len(masat.plot(everything).axes) == 1
+
+
+def test_before_and_after_a_robust_solve():
+    spoiled, result, _ = robust_result(2)
+    figure = masat.plot(before_and_after(spoiled, result))
+    titles = [ax.get_title() for ax in figure.axes]
+    assert titles[1:] == ["after: optimized", "rejected loop closures"]
+
+
+def test_a_saved_result_is_drawn_as_before(tmp_path):
+    _, result, _ = robust_result(2)
+    result.save(tmp_path / "result.npz")
+    loaded = Result.load(tmp_path / "result.npz")
+    assert masat.plot(loaded).encode() == masat.plot(result).encode()

@@ -7,7 +7,7 @@ import pytest
 
 import masat
 from masat import OptimizationError, PoseGraph
-from masat.initializers.odometry import odometry_edges
+from masat.chain import odometry_edges
 from masat.residuals import chi2_per_edge
 from masat.robust import decide
 from masat.robust.closures import GATE, Closures

@@ -5,8 +5,8 @@ import pytest
 
 import masat
 from masat import PoseGraph, lie
+from masat.chain import odometry_edges
 from masat.initializers.chordal import chordal
-from masat.initializers.odometry import odometry_edges
 from masat.residuals import chi2_per_edge
 from masat.robust import decide
 from masat.robust.closures import Closures

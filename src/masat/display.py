@@ -98,6 +98,7 @@ def certificate_html(certificate: Any) -> str:
         ("chi2", lambda: _number(c.chi2)),
         ("lower bound", lambda: _number(c.bound)),
         ("gap", lambda: _number(c.gap)),
+        ("caution", lambda: c.caveat or ""),
     ]
     better = _attribute(c, "better")
     if better is not None:

@@ -186,8 +186,9 @@ def _fit(graph: PoseGraph, d: Diagnosis) -> str | None:
     what = f"The reduced chi2 of the graph's own poses is {reduced:.3g}, far"
     if reduced > _MAX_REDUCED_CHI2:
         return (
-            f"{what} above 1. Before optimization that is usual; after it, look for wrong loop "
-            "closures, for a lower minimum, and for information that is too large."
+            f"{what} above 1. Before optimization that is usual; after it, look for false loop "
+            "closures (robust=True decides which to believe), for a lower minimum, and for "
+            "information that is too large."
         )
     if reduced < 1 / _MAX_REDUCED_CHI2:
         return (

@@ -10,14 +10,18 @@ from time import perf_counter
 from masat.arrays import Flags
 from masat.errors import MasatWarning, OptimizationError
 from masat.graph import PoseGraph
-from masat.initializers import guess_of
+from masat.initializers import SEARCHES, guess_of
 from masat.optimality.certificate import certify as certified
 from masat.optimizers import Result, StopReason, check_method, optimize
 from masat.optimizers.equations import normal_equations
 from masat.optimizers.losses import EdgeLoss, Loss
 from masat.optimizers.termination import Report
+from masat.outliers import Minimum, cannot_be_right, describe_outliers, is_description
 from masat.progress import Progress, ReportStage
 from masat.robust import decide
+
+# Operations that all iterations may take where the map cannot be right: some seconds on one core.
+_MAX_OPERATIONS = 3e10
 
 
 def solve(
@@ -69,7 +73,9 @@ def solve(
         `masat.optimize`. The initial guess does not know it: "auto" searches for the minimum of
         chi2, wrong edges included, so "odometry" or "cauchy" may be better. Default: chi2.
     max_iterations : int
-        Limit of the optimizer's iterations.
+        Limit of the optimizer's iterations. Where "auto" finds that the map cannot be right, only
+        those are made that take a few seconds, which is less than all in large graphs with many
+        false loop closures.
     relative_tolerance : float
         The optimizer stops when chi2 falls by a smaller fraction of itself.
     threads : int, optional
@@ -87,8 +93,9 @@ def solve(
     Returns
     -------
     Result
-        The map is `result.graph`, its poses `result.poses`. Each note of the initial guess is also
-        a `MasatWarning`.
+        The map is `result.graph`, its poses `result.poses`. Its notes say what the initial guess
+        had to assume and, in one sentence, if the map cannot be right or edges contradict it; each
+        new note is also a `MasatWarning`.
 
     Raises
     ------
@@ -131,17 +138,18 @@ def solve(
         if decision is not None and equations.chi2(decision.poses) < guess.chi2:
             guess = guess.with_poses(decision.poses)
     init_seconds = perf_counter() - start
-    for note in guess.notes:
-        if note not in graph.notes:
-            warnings.warn(note, MasatWarning, stacklevel=2)
     cut_short = progress.over
+    is_plain = loss is None and not robust
+    limit = max_iterations
+    if is_plain and init == "auto" and cannot_be_right(guess, guess.chi2):
+        limit = min(max_iterations, _affordable_iterations(guess))
     result = optimize(
         guess,
         optimizer,
         loss=loss,
         scale=scale,
         trusted=trusted,
-        max_iterations=max_iterations,
+        max_iterations=limit,
         relative_tolerance=relative_tolerance,
         report=report,
         progress=progress,
@@ -150,12 +158,28 @@ def solve(
     if cut_short:
         message = f"{StopReason.INTERRUPTED.value}: the map is the best so far"
         result = replace(result, reason=StopReason.INTERRUPTED, message=message)
+    if result.reason is StopReason.MAX_ITERATIONS and limit < max_iterations:
+        message = (
+            f"stopped after {limit} iterations: the map cannot be right, and more are expensive"
+        )
+        result = replace(result, message=message)
     certificate = None
     if certify and result.converged:
         certificate = certified(result.graph, search=False, progress=progress, equations=equations)
         if decision is not None:
             message = f"{certificate.message}; this is said of the edges that were kept"
             certificate = replace(certificate, message=message)
+    doubted = any(is_description(note) for note in guess.notes)
+    if is_plain and (doubted or result.converged):
+        known: Minimum = "searched" if init in SEARCHES else "any"
+        if certificate is not None and certificate.certified:
+            known = "global"
+        notes = [note for note in guess.notes if not is_description(note)]
+        notes += describe_outliers(result.graph, known)
+        result = replace(result, graph=replace(result.graph, notes=tuple(notes)))
+    for note in result.graph.notes:
+        if note not in graph.notes:
+            warnings.warn(note, MasatWarning, stacklevel=2)
     return replace(
         result,
         init=init,
@@ -163,3 +187,9 @@ def solve(
         certificate=certificate,
         decision=decision,
     )
+
+
+def _affordable_iterations(graph: PoseGraph) -> int:
+    """Return how many iterations are worth their time if the map cannot be right."""
+    operations = max(graph.elimination.operations(graph.dof), 1.0)
+    return int(_MAX_OPERATIONS / operations)

@@ -91,6 +91,7 @@ def _print(certificate: Certificate, out: Path | None) -> None:
                 f"{certificate.bound:.8g}: no poses have less; a gap of {certificate.gap:.2g} of "
                 "chi2",
             ),
+            *([("caution", certificate.caveat)] if certificate.caveat else []),
             ("written", written),
         ]
     )

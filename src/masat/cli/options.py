@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -88,7 +88,7 @@ def check_stamps(graph: PoseGraph, *targets: Path | None) -> None:
             check_needs(graph, target, FORMATS[format_of(target)], ("stamps",))
 
 
-def notes(texts: tuple[str, ...]) -> None:
+def notes(texts: Iterable[str]) -> None:
     """Print remarks on standard error."""
     for text in texts:
         click.echo(f"note: {text}", err=True)

@@ -86,6 +86,8 @@ class Stages(_Line):
     def __init__(self, what: str, *, quiet: bool) -> None:
         super().__init__(what, quiet=quiet)
         self._stage = ""
+        self.has_warned = False
+        """Whether a warning was printed."""
         self._timer = threading.Timer(_PATIENCE, self._start)
 
     def __call__(self, stage: Stage) -> None:
@@ -93,6 +95,7 @@ class Stages(_Line):
         if stage.warning:
             if not self._silent:
                 click.echo(f"note: {stage.what}", err=True)
+                self.has_warned = True
             return
         chi2 = "" if stage.chi2 is None else f"  best chi2 {stage.chi2:.6g}"
         self._stage = f"  {stage.what}{chi2}"

@@ -9,11 +9,11 @@ import click
 import numpy as np
 
 from masat.arrays import Flags
+from masat.chain import odometry_edges
 from masat.cli import options, show
 from masat.errors import MasatError
 from masat.formats import format_of, write
 from masat.graph import PoseGraph
-from masat.initializers.odometry import odometry_edges
 from masat.worlds import WORLDS, add_false_closures, perturb
 from masat.worlds.false_closures import KINDS
 

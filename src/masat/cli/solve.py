@@ -13,6 +13,7 @@ from masat.cli.progress import Iterations, Stages
 from masat.formats import format_of, write
 from masat.optimality.certificate import Certificate
 from masat.optimizers import Result
+from masat.outliers import is_description
 from masat.solver import solve as solved
 
 
@@ -116,23 +117,18 @@ def solve(
             report_stage=stages,
         )
     if not quiet:
-        options.notes(result.graph.notes[len(graph.notes) :])
+        notes = result.graph.notes[len(graph.notes) :]
+        options.notes([n for n in notes if not (stages.has_warned and is_description(n))])
     if out is not None:
         write(result.graph, out)
-    left_out = None
-    if result.kept is not None:
-        left_out = graph.without_edges(result.kept).with_poses(result.poses)
-        if rejected is not None:
-            write(left_out, rejected)
+    if rejected is not None and result.kept is not None:
+        write(graph.without_edges(result.kept).with_poses(result.poses), rejected)
     if save is not None:
         result.save(save)
     if picture is not None:
         from masat.plotting import before_and_after, plot
 
-        panels = before_and_after(graph, result.graph)
-        if left_out is not None:
-            panels["rejected loop closures"] = left_out
-        plot(panels, picture)
+        plot(before_and_after(graph, result), picture)
     times = {
         "read": read_seconds,
         "initial guess": result.init_seconds,
@@ -241,7 +237,7 @@ def _quality(reduced: float | None) -> str:
     if reduced is None:
         return "- (nothing is measured twice)"
     if reduced > 2:
-        hint = "(over 1: wrong edges, a local minimum, or information that is too large)"
+        hint = "(over 1: false loop closures, a local minimum, or information that is too large)"
     elif reduced < 0.5:
         hint = "(under 1: the measurements are better than their information says)"
     else:

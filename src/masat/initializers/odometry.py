@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from masat import _core
-from masat.arrays import Flags
+from masat.chain import odometry_edges as odometry_edges
 from masat.graph import PoseGraph
 from masat.initializers.roots import gauge_poses
 
@@ -28,13 +26,3 @@ def odometry(graph: PoseGraph) -> PoseGraph:
             f"{graph.edges[first, 0]} -> {graph.edges[first, 1]}"
         )
     return graph.with_poses(placed, notes=notes)
-
-
-def odometry_edges(graph: PoseGraph) -> Flags:
-    """Return which edges are odometry, (m,): the first one between each pair of consecutive ids."""
-    lower, upper = np.sort(graph.edge_indices, axis=1).T
-    consecutive = np.flatnonzero(upper - lower == 1)
-    _, first = np.unique(lower[consecutive], return_index=True)
-    chain = np.zeros(len(lower), np.bool_)
-    chain[consecutive[first]] = True
-    return chain

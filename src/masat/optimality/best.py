@@ -12,9 +12,9 @@ from masat.graph import PoseGraph
 from masat.optimality.bounds import looks_global
 from masat.optimality.relaxation import Relaxation, lift
 from masat.optimality.search import LOWER, NEAR, lower_minimum
-from masat.optimizers import Result, optimize
+from masat.optimizers import Iteration, Result, optimize
 from masat.optimizers.equations import normal_equations
-from masat.outliers import describe_outliers
+from masat.outliers import cannot_be_right, describe_outliers
 from masat.progress import Progress
 
 # Gauss-Newton that needs more iterations than this is as likely as not to end in a minimum that is
@@ -22,6 +22,11 @@ from masat.progress import Progress
 _FEW_ITERATIONS = 15
 # Changes of chi2 below this fraction are near enough to a minimum for the check and for the search.
 _FIRST_TOLERANCE = 1e-4
+# After so many iterations chi2 of a graph without false edges is no more too large by this factor.
+_PATIENCE, _STRICTNESS = 3, 10.0
+# Operations of a factorization above which not even these iterations are made: some seconds on one
+# core. On public graphs and simulated worlds the chordal guess itself is good enough for the test.
+_EXPENSIVE = 1e10
 # Bytes of a factor up to which all nodes are lifted at once: some seconds on one core.
 _MAX_LIFTED_BYTES = 3e8
 
@@ -57,6 +62,9 @@ def best_minimum(
     search ends. If not, `lower_minimum` searches around the doubtful parts. Where the first minimum
     took many iterations and memory allows it, all nodes are then lifted once, too.
 
+    Where chi2 is so large that no local minimum explains it (`outliers.cannot_be_right`), the graph
+    has false edges. There is no search then, and the first minimum may not be quite reached.
+
     Parameters
     ----------
     guess : PoseGraph
@@ -80,13 +88,19 @@ def best_minimum(
     progress = progress or Progress()
     equations = normal_equations(guess) if equations is None else equations
     try:
+        if guess.elimination.operations(guess.dof) > _EXPENSIVE and cannot_be_right(
+            guess, equations.chi2(_poses(guess)), strictness=_STRICTNESS
+        ):
+            return _without_search(guess, progress)
         near, soon = _first_minimum(guess, equations, progress)
+        if not progress.over and cannot_be_right(near.graph, near.chi2):
+            return _without_search(near.graph, progress)
         try:
             if not progress.over and _is_plausible(near):
                 return Minimum(near.poses, True)
         except KeyboardInterrupt:
             progress.interrupt()
-        doubts = describe_outliers(near.graph)
+        doubts = describe_outliers(near.graph, "searched")
         if progress.over:
             return Minimum(near.poses, False, doubts)
         for doubt in doubts:
@@ -100,7 +114,21 @@ def best_minimum(
             return Minimum(near.poses, False, doubts)
     except OptimizationError as error:
         raise InitializationError(f"the guess has to be optimized first: {error}") from error
-    return Minimum(found.poses, False, describe_outliers(found.graph))
+    return Minimum(found.poses, False, describe_outliers(found.graph, "searched"))
+
+
+def _without_search(graph: PoseGraph, progress: Progress) -> Minimum:
+    """Return the poses of a graph whose false edges make a search useless."""
+    doubts = describe_outliers(graph, "searched")
+    for doubt in doubts:
+        progress.tell(doubt, graph.chi2, warning=True)
+    return Minimum(_poses(graph), False, doubts)
+
+
+def _poses(graph: PoseGraph) -> Floats:
+    if graph.poses is None:
+        raise InitializationError("the guess has no poses")
+    return graph.poses
 
 
 def _is_plausible(near: Result) -> bool:
@@ -120,10 +148,27 @@ def _first_minimum(
         progress=progress,
     )
     progress.tell("optimizing the chordal guess")
-    quick = run("gauss_newton", max_iterations=_FEW_ITERATIONS)
-    if quick.converged or progress.over:
+    watch = _StopIfWrong(guess, equations.chi2(_poses(guess)))
+    quick = run("gauss_newton", max_iterations=_FEW_ITERATIONS, report=watch)
+    if quick.converged or progress.over or watch.is_wrong:
         return quick, True
     return run("dogleg"), False
+
+
+class _StopIfWrong:
+    """Stops an optimizer after a few iterations if the map cannot become right."""
+
+    def __init__(self, graph: PoseGraph, chi2: float) -> None:
+        self._graph, self._lowest, self._iterations = graph, chi2, 0
+        self.is_wrong = False
+
+    def __call__(self, step: Iteration) -> bool:
+        """Return whether to stop after an iteration."""
+        self._iterations += 1
+        self._lowest = min(self._lowest, step.chi2)
+        if self._iterations == _PATIENCE:
+            self.is_wrong = cannot_be_right(self._graph, self._lowest, strictness=_STRICTNESS)
+        return self.is_wrong
 
 
 def _lift_all(

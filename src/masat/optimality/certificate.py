@@ -13,6 +13,7 @@ from masat.optimality.search import lower_minimum
 from masat.optimizers import Result, optimize
 from masat.optimizers.equations import normal_equations, rounding_level
 from masat.optimizers.termination import blur
+from masat.outliers import Minimum, describe_outliers
 from masat.progress import Progress
 
 # Times the chi2 that the rounding of coordinates makes: chi2 below it is zero to rounding.
@@ -42,6 +43,9 @@ class Certificate:
         The lowest chi2 that is known.
     better : PoseGraph or None
         The graph at poses of lower chi2, if such were found.
+    caveat : str or None
+        Why the map may be wrong even if its chi2 is the lowest: edges contradict the others, or
+        chi2 is far too large. None if nothing is suspicious.
     """
 
     status: Status
@@ -50,6 +54,7 @@ class Certificate:
     bound: float
     optimum: float
     better: PoseGraph | None
+    caveat: str | None = None
 
     @property
     def certified(self) -> bool:
@@ -79,6 +84,7 @@ class Certificate:
             "bound": self.bound,
             "gap": self.gap,
             "optimum": self.optimum,
+            "caveat": self.caveat,
         }
 
 
@@ -204,4 +210,8 @@ def _certify(
             f"a chi2 below {bound:.6g}{trouble}"
         )
     better = best.graph if status == "refuted" else None
-    return Certificate(status, message, initial, bound, min(best.chi2, initial), better)
+    known: Minimum = "global" if proven(best) else "any"
+    caveat = next(iter(describe_outliers(best.graph, known)), None)
+    if caveat is not None:
+        message += "; the map may be wrong all the same, since edges contradict it"
+    return Certificate(status, message, initial, bound, min(best.chi2, initial), better, caveat)

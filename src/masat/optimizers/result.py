@@ -264,7 +264,8 @@ def _certificate(saved: dict[str, Any] | None) -> Certificate | None:
     if saved is None:
         return None
     names = ("status", "message", "chi2", "bound", "optimum")
-    return Certificate(**{name: saved[name] for name in names}, better=None)
+    known = {name: saved[name] for name in names}
+    return Certificate(**known, better=None, caveat=saved.get("caveat"))
 
 
 def _decision(saved: dict[str, Any] | None, arrays: Any) -> Decision | None:

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from masat.arrays import Ids
 from masat.errors import GraphError, MasatError
 from masat.files import write_atomically
 from masat.graph import PoseGraph
-from masat.plotting.panel import Panel, Style, radius_of
+from masat.optimizers import Result
+from masat.plotting.panel import CLOSURES_LABEL, REJECTED_LABEL, Panel, Style, radius_of
 from masat.plotting.views import View, drawn_axes
 from masat.residuals import chi2_per_edge
 
@@ -26,7 +28,7 @@ _SMALLEST_PANEL, _LARGEST_PANEL, _PAGE = 5.0, 8.0, 12.0
 
 
 def plot(
-    graphs: PoseGraph | Mapping[str, PoseGraph],
+    graphs: PoseGraph | Result | Mapping[str, PoseGraph | Result],
     path: str | os.PathLike[str] | None = None,
     *,
     color_by_error: bool = False,
@@ -41,11 +43,14 @@ def plot(
     get thinner, and then more transparent, the more of them there are. Where loop closures would
     still hide all else, only every k-th is drawn; the legend and the line above the panel say so.
 
+    The result of a robust solve gets two panels: the map with the loop closures that were kept, and
+    its trajectory with the rejected ones, dashed.
+
     Parameters
     ----------
-    graphs : PoseGraph or mapping of title to PoseGraph
-        Graphs with poses. Each gets a panel with its title, its size and its chi2; axes are in
-        meters.
+    graphs : PoseGraph, Result, or mapping of title to PoseGraph or Result
+        Graphs with poses, or results. Each gets a panel with its title, its size and its chi2; axes
+        are in meters.
     path : path-like, optional
         File for the picture; the ending gives the format (.png, .pdf, .svg, .jpg).
     color_by_error : bool
@@ -76,10 +81,10 @@ def plot(
     """
     from masat.plotting.picture import Picture
 
-    panels = {"": graphs} if isinstance(graphs, PoseGraph) else dict(graphs)
+    panels = _panels(graphs)
     if not panels:
         raise GraphError("there is no graph to draw: the mapping of titles to graphs is empty")
-    for title, graph in panels.items():
+    for title, graph, _ in panels:
         if graph.poses is None:
             raise GraphError(
                 f"the graph {title!r} has no poses to draw: give it some with masat.initialize"
@@ -91,26 +96,53 @@ def plot(
     size = float(np.clip(_PAGE / columns, _SMALLEST_PANEL, _LARGEST_PANEL))
     figure = Picture(figsize=(size * columns, size * rows), dpi=dpi, layout="constrained")
     file_format = "png" if path is None else picture_format(Path(path), figure)
-    color = _error_scale(panels) if color_by_error else None
+    graphs_alone = [graph for _, graph, _ in panels]
+    color = _error_scale(graphs_alone) if color_by_error else None
     style = Style(
-        axes=drawn_axes([g for g in panels.values() if g.dimension == 3], view),
+        axes=drawn_axes([g for g in graphs_alone if g.dimension == 3], view),
         color=color,
         points=72 * size,
-        radius=max(map(radius_of, panels.values())) if same_scale else None,
+        radius=max(map(radius_of, graphs_alone)) if same_scale else None,
     )
-    drawn = [Panel(graph, style) for graph in panels.values()]
+    drawn = [Panel(graph, style, rejected) for _, graph, rejected in panels]
     axes = []
-    for k, (title, panel) in enumerate(zip(panels, drawn, strict=True), 1):
+    for k, ((title, _, _), panel) in enumerate(zip(panels, drawn, strict=True), 1):
         projection = "3d" if panel.is_oblique else None
         ax = figure.add_subplot(rows, columns, k, projection=projection)
         panel.draw(ax, title)
         axes.append(ax)
-    _legend(figure, axes, {panel.stride for panel in drawn if len(panel.closures)})
+    _legend(
+        figure,
+        axes,
+        {
+            CLOSURES_LABEL: {p.stride for p in drawn if p.rejected is None and len(p.closures)},
+            REJECTED_LABEL: {p.stride for p in drawn if p.rejected is not None},
+        },
+    )
     if color is not None:
         figure.colorbar(color, ax=axes, label="chi2 of the edge", shrink=0.7)
     if path is not None:
         write_atomically(Path(path), figure.encode(file_format))
     return figure
+
+
+def _panels(
+    graphs: PoseGraph | Result | Mapping[str, PoseGraph | Result],
+) -> list[tuple[str, PoseGraph, Ids | None]]:
+    """Return title, graph and rejected loop closures, as pairs of ids, of each panel."""
+    given = {"": graphs} if isinstance(graphs, PoseGraph | Result) else dict(graphs)
+    panels: list[tuple[str, PoseGraph, Ids | None]] = []
+    for title, shown in given.items():
+        if isinstance(shown, PoseGraph):
+            panels.append((title, shown, None))
+            continue
+        panels.append((title or "map", shown.graph, None))
+        table = shown.closures
+        if table is not None and not table["kept"].all():
+            left_out = table[~table["kept"]]
+            pairs = np.column_stack([left_out["from"], left_out["to"]])
+            panels.append(("rejected loop closures", shown.graph, pairs))
+    return panels
 
 
 def picture_format(path: Path, figure: Picture) -> str:
@@ -122,11 +154,11 @@ def picture_format(path: Path, figure: Picture) -> str:
     return chosen
 
 
-def _error_scale(panels: Mapping[str, PoseGraph]) -> ScalarMappable:
+def _error_scale(graphs: list[PoseGraph]) -> ScalarMappable:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LogNorm
 
-    chi2 = np.concatenate([chi2_per_edge(graph) for graph in panels.values()])
+    chi2 = np.concatenate([chi2_per_edge(graph) for graph in graphs])
     positive = chi2[chi2 > 0]
     # One edge with a huge chi2 must not take the whole scale.
     high = float(np.quantile(positive, 0.999)) if len(positive) else 1.0
@@ -134,19 +166,14 @@ def _error_scale(panels: Mapping[str, PoseGraph]) -> ScalarMappable:
     return ScalarMappable(LogNorm(high * 1e-4, high), "viridis")
 
 
-def _legend(figure: Picture, axes: list[Any], strides: set[int]) -> None:
+def _legend(figure: Picture, axes: list[Any], strides: dict[str, set[int]]) -> None:
     """Add one legend for all panels, below them, that tells if loop closures are left out."""
     entries: dict[str, Any] = {}
     for ax in axes:
         handles, labels = ax.get_legend_handles_labels()
         for handle, label in zip(handles, labels, strict=True):
             entries.setdefault(label, handle)
-    left_out = ""
-    if strides != {1} and len(strides) == 1:
-        left_out = f" (1 in {min(strides)} drawn)"
-    elif len(strides) > 1:
-        left_out = " (not all drawn)"  # the caption of each panel tells how many
-    labels = [name + left_out if name == "loop closures" else name for name in entries]
+    labels = [name + _left_out(strides.get(name, {1})) for name in entries]
     legend = figure.legend(
         list(entries.values()),
         labels,
@@ -155,7 +182,17 @@ def _legend(figure: Picture, axes: list[Any], strides: set[int]) -> None:
         frameon=False,
         fontsize=9,
     )
-    for line in legend.get_lines():
+    for line, name in zip(legend.get_lines(), entries, strict=True):
         line.set_alpha(1.0)
+        if name == REJECTED_LABEL:
+            line.set_linestyle("dashed")
         if line.get_linestyle() != "None":
             line.set_linewidth(1.5)
+
+
+def _left_out(strides: set[int]) -> str:
+    """Return what the legend says if only some lines of a kind are drawn."""
+    if len(strides) > 1:
+        return " (not all drawn)"  # the caption of each panel tells how many
+    stride = min(strides, default=1)
+    return f" (1 in {stride} drawn)" if stride > 1 else ""

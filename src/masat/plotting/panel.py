@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 
 # Dark blue and vermilion: with every kind of color blindness one is dark and the other light.
 TRAJECTORY, CLOSURES = "#12436d", "#ed6a0f"
+# Reddish purple, dashed: as light as the loop closures, which are in another panel.
+REJECTED = "#d17ab3"
+# Points of a dash and of the gap after it, however thin the line.
+_DASH, _GAP = 4.0, 2.0
+CLOSURES_LABEL, REJECTED_LABEL = "loop closures", "rejected loop closures"
 _MARKS = "#000000"
 # Which part of the cells that they run through lines may cover, and their largest width in points.
 # Loop closures get less, so that the trajectory shows through where there are many.
@@ -82,9 +87,20 @@ def radius_of(graph: PoseGraph) -> float:
 
 
 class Panel:
-    """A graph with poses, to be drawn in axes of its own."""
+    """A graph with poses, to be drawn in axes of its own.
 
-    def __init__(self, graph: PoseGraph, style: Style) -> None:
+    Parameters
+    ----------
+    graph : PoseGraph
+        The graph.
+    style : Style
+        What all panels have in common.
+    rejected : ndarray of int64, (k, 2), optional
+        Ids of the nodes that rejected loop closures join. If given, these are drawn instead of the
+        loop closures of the graph.
+    """
+
+    def __init__(self, graph: PoseGraph, style: Style, rejected: Ids | None = None) -> None:
         assert graph.poses is not None
         axes = (0, 1) if graph.dimension == 2 else style.axes
         self.graph = graph
@@ -95,8 +111,11 @@ class Panel:
         self.positions: Floats = graph.poses[:, axes]
         ends = graph.edge_indices
         is_odometry = np.abs(ends[:, 0] - ends[:, 1]) == 1
-        self.odometry = np.flatnonzero(is_odometry)
-        self.closures = np.flatnonzero(~is_odometry)
+        self.odometry: Ids = ends[is_odometry].astype(np.int64)
+        self.rejected = rejected
+        self.closures: Ids = ends[~is_odometry].astype(np.int64)
+        if rejected is not None:
+            self.closures = graph.index(rejected)
 
     @cached_property
     def stride(self) -> int:
@@ -104,7 +123,7 @@ class Panel:
 
         Colored by chi2 all are drawn, since the few with a large chi2 are looked for.
         """
-        if self.style.color is not None or len(self.closures) == 0:
+        if (self.style.color is not None and self.rejected is None) or len(self.closures) == 0:
             return 1
         too_many = math.ceil(len(self.closures) / _MOST_CLOSURES)
         return max(self._stroke(self.closures, *_CLOSURES_INK).stride, too_many)
@@ -135,27 +154,38 @@ class Panel:
             return f"{_count(nodes, 'node')}, no edges"
         # Loop closures between equal poses have no length: their number tells that they are there.
         closures = _count(len(self.closures), "loop closure")
+        if self.rejected is not None:
+            kept = len(self.graph.edges) - len(self.odometry)
+            closures = (
+                f"{len(self.closures):,} of {_count(len(self.closures) + kept, 'loop closure')}"
+            )
         if self.stride > 1:
             closures += f", 1 in {self.stride} drawn"
+        if self.rejected is not None:
+            return closures
         chi2 = float(chi2_per_edge(self.graph).sum())
         return f"{_count(nodes, 'node')}, {_count(edges, 'edge')} ({closures}), chi2 {chi2:.4g}"
 
     def _draw_edges(self, ax: Any) -> None:
         color = self.style.color
-        if color is None:
+        if color is None or self.rejected is not None:
             chosen = self.closures[:: self.stride]
             odometry: dict[str, Any] = {"color": TRAJECTORY, "zorder": 2, "label": "odometry"}
-            loops: dict[str, Any] = {"color": CLOSURES, "zorder": 3, "label": "loop closures"}
+            loops: dict[str, Any] = {"color": CLOSURES, "zorder": 3, "label": CLOSURES_LABEL}
+            if self.rejected is not None:
+                loops |= {"color": REJECTED, "label": REJECTED_LABEL, "linestyle": "dashed"}
             self._draw_lines(ax, self.odometry, *_ODOMETRY_INK, **odometry)
             self._draw_lines(ax, chosen, *_CLOSURES_INK, **loops)
             return
         low, _ = color.get_clim()
         chi2 = np.maximum(chi2_per_edge(self.graph), low or 0.0)  # zero has no logarithm
         order = np.argsort(chi2, kind="stable")
+        every = self.graph.edge_indices[order].astype(np.int64)
         look: dict[str, Any] = {"array": chi2[order], "cmap": color.cmap, "norm": color.norm}
-        self._draw_lines(ax, order, *_CHI2_INK, zorder=2, **look)
+        self._draw_lines(ax, every, *_CHI2_INK, zorder=2, **look)
 
     def _draw_lines(self, ax: Any, edges: Ids, ink: float, widest: float, **look: Any) -> None:
+        """Draw lines between pairs of indices of nodes, (k, 2)."""
         if len(edges) == 0:
             return
         if self.is_oblique:
@@ -163,8 +193,11 @@ class Panel:
         else:
             from matplotlib.collections import LineCollection as Lines
         width, alpha, _ = self._stroke(edges, ink, widest)
+        if look.get("linestyle") == "dashed":
+            # A pattern is given in widths of the line.
+            look["linestyle"] = (0, (_DASH / width, _GAP / width))
         lines = Lines(
-            self.positions[self.graph.edge_indices[edges]],
+            self.positions[edges],
             linewidths=width,
             alpha=alpha,
             capstyle="butt",
@@ -178,7 +211,7 @@ class Panel:
 
     def _stroke(self, edges: Ids, ink: float, widest: float) -> Stroke:
         """Return how to draw edges that may cover a part `ink` of the cells they run through."""
-        segments = self.positions[self.graph.edge_indices[edges]]
+        segments = self.positions[edges]
         side = 2 * self.radius
         length = float(np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1).sum()) / side
         return stroke(length, ink * self.style.points * occupied(segments, side), widest)

@@ -8,9 +8,10 @@ from masat.graph import PoseGraph
 from masat.initializers.odometry import odometry
 from masat.initializers.spanning_tree import spanning_tree
 from masat.issues import has_placeholder_poses
+from masat.optimizers import Result
 
 
-def before_and_after(graph: PoseGraph, result: PoseGraph) -> dict[str, PoseGraph]:
+def before_and_after(graph: PoseGraph, result: PoseGraph | Result) -> dict[str, PoseGraph | Result]:
     """Return what to draw of a solve: the map without optimization, and the optimized map.
 
     "Before" are the poses of `graph`, unless they are missing or placeholders; then it is odometry,
@@ -22,13 +23,13 @@ def before_and_after(graph: PoseGraph, result: PoseGraph) -> dict[str, PoseGraph
     ----------
     graph : PoseGraph
         The graph as it was read.
-    result : PoseGraph
-        The optimized graph, such as `Result.graph`.
+    result : PoseGraph or Result
+        The optimized graph, or the result of the solve.
 
     Returns
     -------
-    dict of str to PoseGraph
-        Two titles and their graphs, for `masat.plot`.
+    dict of str to PoseGraph or Result
+        Two titles and what to draw there, for `masat.plot`.
     """
     ends = graph.edge_indices
     if graph.poses is not None and not has_placeholder_poses(graph):

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from masat import _core, lie
 from masat.arrays import Flags, Floats, Ids, Indices
+from masat.chain import odometry_edges
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
-from masat.initializers.odometry import odometry_edges
 
 # Closures whose ends are both at most this many nodes apart are of one place.
 REACH = 10

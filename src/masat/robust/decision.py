@@ -58,9 +58,9 @@ class Decision:
         A row for each edge that was not trusted or is so no longer: `edge` (its index), `from`,
         `to`, `kept`, `chi2` (in the map, with the information given), `distance` (squared
         Mahalanobis distance from the prediction, with the information as it was judged; for
-        closures far beyond the gate that of a map on the way, or of one that agrees with them; NaN
-        for kept ones), `log_ratio` (logarithm of the likelihood ratio against a false closure; NaN for
-        kept ones), `cluster` (closures of one place that agree), `reason`.
+        closures far beyond the gate that of a map on the way, or of one that agrees with them),
+        `log_ratio` (logarithm of the likelihood ratio against a false closure), both NaN for kept
+        ones, `cluster` (closures of one place that agree), `reason`.
     cost : float
         chi2 of the trusted edges and of the kept closures, with the information as it was judged,
         and the price of the rejected ones (`masat.robust.objective`).

@@ -10,6 +10,7 @@ from masat import _core, lie
 from masat.arrays import Floats, Ids
 from masat.covariance import change_of_frame, relative_covariances
 from masat.graph import PoseGraph
+from masat.neighbors import cycle_distances, variance_along
 from masat.robust.closures import Closures
 
 _EPSILON = float(np.finfo(np.float64).eps)
@@ -174,30 +175,6 @@ def agreement(closures: Closures, poses: Floats, pairs: Ids) -> Floats:
     within the uncertainty of its edges. Source: Mangelson, Dominic, Eustice, Vasudevan, Pairwise
     consistent measurement set maximization, ICRA 2018, here for closures of one place alone.
     """
-    d = closures.graph.dimension
-    i, j = pairs.T
-    a, b = closures.ends.T
-    there = lie.between(poses[a[j]], poses[a[i]])
-    back = lie.between(poses[b[i]], poses[b[j]])
-    measured = closures.measurements
-    e = lie.local(measured[j], lie.compose(lie.compose(there, measured[i]), back))
     own = np.einsum("kii->ki", closures.covariance)
-    along = _variance_along(closures)
-    variance = own[i] + own[j]
-    variance += np.abs(along[a[j]] - along[a[i]]) + np.abs(along[b[j]] - along[b[i]])
-    # A rotation moves what is an arm's length away.
-    arm = np.sum([np.linalg.norm(p[:, :d], axis=1) for p in (there, back, measured[i])], axis=0)
-    variance[:, :d] += (variance[:, d:].max(axis=1, initial=0) * np.square(arm))[:, None]
-    distance: Floats = (np.square(e) / variance).sum(axis=1)
-    return distance
-
-
-def _variance_along(closures: Closures) -> Floats:
-    """Return the sum of the variances of the trusted edges from the first node on, (n, dof)."""
-    graph = closures.graph
-    last = graph.edge_indices[closures.trusted].max(axis=1)
-    steps = np.zeros((len(graph), graph.dof))
-    covariance = np.linalg.inv(graph.information[closures.trusted])
-    np.maximum.at(steps, last, np.einsum("kii->ki", covariance))
-    total: Floats = np.cumsum(steps, axis=0)
-    return total
+    along = variance_along(closures.graph, closures.trusted)
+    return cycle_distances(pairs, closures.ends, closures.measurements, own, poses, along)

@@ -9,9 +9,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from masat.arrays import Flags, Floats
+from masat.chain import odometry_edges
 from masat.graph import PoseGraph
 from masat.initializers import INITIALIZERS
-from masat.initializers.odometry import odometry_edges
 from masat.optimizers import LOSSES, optimize
 from masat.optimizers.losses import default_scale
 from masat.solver import solve

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from masat.arrays import Flags, Floats
+from masat.chain import odometry_edges
 from masat.graph import PoseGraph
-from masat.initializers.odometry import odometry_edges
 from masat.residuals import chi2_per_edge
 
 # chi2 that one honest measurement in 1,000 exceeds, for 3 and 6 degrees of freedom.

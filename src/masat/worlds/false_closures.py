@@ -10,9 +10,9 @@ import numpy as np
 
 from masat import lie
 from masat.arrays import Flags, Floats, Ids
+from masat.chain import odometry_edges
 from masat.errors import GraphError
 from masat.graph import PoseGraph
-from masat.initializers.odometry import odometry_edges
 from masat.worlds.closures import MAX_COUNT, check_seed
 from masat.worlds.noise import with_noise
 
