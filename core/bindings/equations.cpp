@@ -29,23 +29,28 @@ template <class Group>
 class EquationsOfArrays final : public NormalEquationsOf<Group> {
  public:
   EquationsOfArrays(nb::object topology, std::shared_ptr<Elimination> elimination,
-                    const Table<double>& measurements, const Stack& information, int threads)
+                    const Table<double>& measurements, const Stack& information,
+                    const std::optional<Table<double>>& offsets, int threads)
       : NormalEquationsOf<Group>(*nb::inst_ptr<Topology>(topology), std::move(elimination),
-                                 measurements.data(), information.data(), threads),
+                                 measurements.data(), information.data(),
+                                 data_of(offsets, measurements.shape(0), Group::kSize), threads),
         topology_(std::move(topology)),
         measurements_(measurements),
-        information_(information) {}
+        information_(information),
+        offsets_(offsets) {}
 
  private:
   nb::object topology_;
   Table<double> measurements_;
   Stack information_;
+  std::optional<Table<double>> offsets_;
 };
 
 std::unique_ptr<NormalEquations> make_equations(nb::handle_t<Topology> topology,
                                                 std::shared_ptr<Elimination> elimination,
                                                 const Table<double>& measurements,
-                                                const Stack& information, int threads) {
+                                                const Stack& information, int threads,
+                                                const std::optional<Table<double>>& offsets) {
   const Topology& graph = *nb::inst_ptr<Topology>(topology);
   const std::size_t m = graph.edges().size();
   require(measurements.shape(0) == m && information.shape(0) == m, "one row an edge");
@@ -58,8 +63,8 @@ std::unique_ptr<NormalEquations> make_equations(nb::handle_t<Topology> topology,
       measurements.shape(1), [&]<class Group>(Group*) -> std::unique_ptr<NormalEquations> {
         require(information.shape(1) == Group::kDof && information.shape(2) == Group::kDof,
                 "information must be (m, d, d)");
-        return std::make_unique<EquationsOfArrays<Group>>(std::move(owner), std::move(elimination),
-                                                          measurements, information, threads);
+        return std::make_unique<EquationsOfArrays<Group>>(
+            std::move(owner), std::move(elimination), measurements, information, offsets, threads);
       });
 }
 
@@ -132,7 +137,7 @@ void bind_equations(nb::module_& m) {
   bind_losses(m);
   nb::class_<NormalEquations>(m, "NormalEquations")
       .def(nb::new_(&make_equations), "topology"_a, "elimination"_a, "measurements"_a,
-           "information"_a, "threads"_a = 1)
+           "information"_a, "threads"_a = 1, "offsets"_a = nb::none())
       .def(
           "chi2",
           [](NormalEquations& e, const Table<double>& poses) {

@@ -53,12 +53,13 @@ class NormalEquationsOf : public NormalEquations {
  public:
   static constexpr int kDof = Group::kDof, kSize = Group::kSize;
 
-  // Fixed nodes keep their poses and are not part of the system. The graph, the measurements and
-  // the information are not copied and must outlive it. The numbers do not depend on how many
-  // threads factorize.
+  // Fixed nodes keep their poses and are not part of the system. The graph, the measurements, the
+  // information and the offsets, which may be null, are not copied and must outlive it. The numbers
+  // do not depend on how many threads factorize.
   NormalEquationsOf(const Topology& graph, std::shared_ptr<const Elimination> elimination,
-                    const double* measurements, const double* information, int threads)
-      : tables_(RelativePoseFactors<Group>(graph.edges(), measurements, information)),
+                    const double* measurements, const double* information, const double* offsets,
+                    int threads)
+      : tables_(RelativePoseFactors<Group>(graph.edges(), measurements, information, offsets)),
         matrix_(std::move(elimination), kDof, threads),
         system_(matrix_) {}
   // The system refers to the matrix.

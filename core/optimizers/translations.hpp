@@ -42,10 +42,10 @@ class TranslationSystem {
 template <LieGroup Group>
 std::int32_t solve_translations(const Topology& graph, GraphMatrix& matrix,
                                 const double* measurements, const double* information,
-                                double* poses) {
+                                const double* offsets, double* poses) {
   const typename Group::Table pose(poses, graph.nodes());
   TranslationSystem<Group> system(matrix);
-  linearize(RelativePoseFactors<Group>(graph.edges(), measurements, information), pose,
+  linearize(RelativePoseFactors<Group>(graph.edges(), measurements, information, offsets), pose,
             EdgeLosses(), system);
   std::vector<double> step = std::move(system).take_rhs();
   const std::vector<double> undamped(step.size());

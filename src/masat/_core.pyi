@@ -27,9 +27,15 @@ class Topology:
     def incident_edges(self, nodes: Flags) -> Ids: ...
     def components(self) -> Indices: ...
 
-def residuals(topology: Topology, measurements: Floats, poses: Floats) -> Floats: ...
+def residuals(
+    topology: Topology, measurements: Floats, poses: Floats, offsets: Floats | None = ...
+) -> Floats: ...
 def chi2_per_edge(
-    topology: Topology, measurements: Floats, information: Floats, poses: Floats
+    topology: Topology,
+    measurements: Floats,
+    information: Floats,
+    poses: Floats,
+    offsets: Floats | None = ...,
 ) -> Floats: ...
 def place_along_tree(
     topology: Topology, roots: Indices, preferred: Flags, measurements: Floats, poses: Floats
@@ -80,6 +86,7 @@ def solve_translations(
     measurements: Floats,
     information: Floats,
     poses: Floats,
+    offsets: Floats | None = ...,
 ) -> tuple[Floats, int]: ...
 
 class LossKind(enum.Enum):
@@ -102,6 +109,7 @@ class NormalEquations:
         measurements: Floats,
         information: Floats,
         threads: int = ...,
+        offsets: Floats | None = ...,
     ) -> None: ...
     def chi2(self, poses: Floats) -> float: ...
     def linearize(self, poses: Floats, weights: Floats | None = ...) -> float: ...

@@ -12,6 +12,8 @@ from masat.arrays import Floats, Ids
 Repair: TypeAlias = Literal["error", "nearest", "identity"]
 """What to do with indefinite information: refuse it, or take the nearest or the identity."""
 
+# How far below zero, as a fraction of the largest, rounding may take an eigenvalue that is zero.
+_ROUNDED_ZERO = 1e-14
 # Smallest eigenvalue after a repair, as a fraction of the largest: no direction is lost, and the
 # normal equations keep half of the digits of a double.
 _MIN_EIGENVALUE_RATIO = 1e-9
@@ -20,6 +22,16 @@ _MIN_EIGENVALUE_RATIO = 1e-9
 def indefinite(information: Floats) -> Ids:
     """Return the indices of the matrices, (m, d, d), that are not positive definite."""
     return _core.indefinite(np.ascontiguousarray(information))
+
+
+def not_semidefinite(information: Floats) -> Ids:
+    """Return the indices of the matrices, (m, d, d), that are zero or not positive semidefinite."""
+    bad = indefinite(information)
+    if len(bad) == 0:
+        return bad
+    values = np.linalg.eigvalsh(information[bad])
+    fine = (values[:, 0] >= -_ROUNDED_ZERO * values[:, -1]) & (values[:, -1] > 0)
+    return bad[~fine]
 
 
 def nearest_positive_definite(information: Floats) -> Floats:
@@ -38,9 +50,9 @@ def nearest_positive_definite(information: Floats) -> Floats:
     Returns
     -------
     ndarray, (m, d, d)
-        The repaired matrices; those that were positive definite are unchanged.
+        The repaired matrices; those that were positive semidefinite are unchanged.
     """
-    bad = indefinite(information)
+    bad = not_semidefinite(information)
     repaired = information.copy()
     # Numbers near the largest double may overflow; the graph then refuses the result.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -82,13 +94,24 @@ def rotation_weights(information: Floats) -> Floats:
     return 3 / _trace_of_inverse(rotation) / 8
 
 
+def partial(information: Floats) -> Ids:
+    """Return the indices of the matrices, (m, d, d), that have no information in some direction."""
+    return indefinite(information)
+
+
 def _trace_of_inverse(a: Floats) -> Floats:
-    """Return the traces of the inverses of positive definite matrices, (m, 2, 2) or (m, 3, 3).
+    """Return the traces of the inverses of matrices, (m, 2, 2) or (m, 3, 3).
 
     By the Cholesky factor L: the sum of the squares of its inverse. Positive, however badly
-    conditioned.
+    conditioned; infinite where a semidefinite matrix leaves a direction without information.
     """
     d = a.shape[1]
+    singular = indefinite(a)
+    if len(singular):
+        out = np.full(len(a), np.inf)
+        rest = np.delete(np.arange(len(a)), singular)
+        out[rest] = _trace_of_inverse(np.ascontiguousarray(a[rest]))
+        return out
     scale = np.einsum("kii->k", a)
     a = a / scale[:, None, None]
 
