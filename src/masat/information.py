@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
 from masat import _core
 from masat.arrays import Floats, Ids
+
+if TYPE_CHECKING:
+    from masat.graph import PoseGraph
 
 Repair: TypeAlias = Literal["error", "nearest", "identity"]
 """What to do with indefinite information: refuse it, or take the nearest or the identity."""
@@ -61,6 +64,27 @@ def nearest_positive_definite(information: Floats) -> Floats:
         product = (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
     repaired[bad] = 0.5 * product + 0.5 * product.transpose(0, 2, 1)
     return repaired
+
+
+def degrees_of_freedom(graph: PoseGraph) -> int:
+    """Return the number of measured values minus the number of unknown ones."""
+    values = graph.dof * len(graph.edges) - _unmeasured(graph.information)
+    if graph.priors is not None:
+        values += graph.dof * len(graph.priors) - _unmeasured(graph.priors.information)
+    if graph.landmarks is not None:
+        seen = graph.landmarks
+        values += graph.dimension * (len(seen.observations) - len(seen))
+        values -= _unmeasured(seen.information)
+    return values - graph.dof * (len(graph.ids) - len(graph.gauge))
+
+
+def _unmeasured(information: Floats) -> int:
+    """Return in how many directions matrices, (m, d, d), have no information."""
+    open_ = partial(information)
+    if len(open_) == 0:
+        return 0
+    values = np.linalg.eigvalsh(information[open_])
+    return int(np.count_nonzero(values <= _ROUNDED_ZERO * values[:, -1:]))
 
 
 class IsotropicWeights(NamedTuple):

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from masat import _checks as checks
-from masat.arrays import Flags, Floats, Ids, locked
+from masat.arrays import AnyArray, Flags, Floats, Ids, locked
 from masat.errors import GraphError
+
+if TYPE_CHECKING:
+    from masat.graph import PoseGraph
 
 _DOF = {3: 3, 7: 6}
 
@@ -387,6 +391,43 @@ def joined(priors: Priors | Iterable[Priors] | None) -> Priors | None:
     for part in filled[1:]:
         out = out + part
     return out
+
+
+def arrays_of(graph: PoseGraph) -> dict[str, AnyArray]:
+    """Return the arrays of priors and landmarks, as saved results hold them."""
+    out: dict[str, AnyArray] = {}
+    for prefix, table in (("priors", graph.priors), ("landmarks", graph.landmarks)):
+        if table is not None:
+            for field in fields(table):
+                value = getattr(table, field.name)
+                if value is not None:
+                    out[f"{prefix}_{field.name}"] = value
+    return out
+
+
+def saved_priors(arrays: Mapping[str, AnyArray]) -> Priors | None:
+    """Return the priors of a saved result, checked."""
+    if "priors_ids" not in arrays:
+        return None
+    return pose_priors(
+        arrays["priors_ids"],
+        arrays["priors_measurements"],
+        arrays["priors_information"],
+        offset=arrays["priors_offsets"] if "priors_offsets" in arrays else None,
+    )
+
+
+def saved_landmarks(arrays: Mapping[str, AnyArray]) -> Landmarks | None:
+    """Return the landmarks of a saved result, checked."""
+    if "landmarks_ids" not in arrays:
+        return None
+    return landmarks(
+        arrays["landmarks_observations"],
+        arrays["landmarks_measurements"],
+        arrays["landmarks_information"],
+        ids=arrays["landmarks_ids"],
+        positions=arrays["landmarks_positions"] if "landmarks_positions" in arrays else None,
+    )
 
 
 def _nodes(ids: ArrayLike) -> Ids:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from time import perf_counter
+from typing import Any
 
 from masat.arrays import Flags
+from masat.assembly import assemble, checked_support, needs_assembly
 from masat.errors import MasatWarning, OptimizationError
 from masat.graph import PoseGraph
-from masat.initializers import guess_of
+from masat.initializers import guess_of, guess_of_assembly
 from masat.optimality.certificate import certify as certified
-from masat.optimizers import Result, StopReason, check_method, optimize
+from masat.optimizers import Result, StopReason, check_method, optimize, optimize_assembly
 from masat.optimizers.equations import normal_equations
 from masat.optimizers.losses import EdgeLoss, Loss
 from masat.optimizers.termination import Report
@@ -119,20 +121,27 @@ def solve(
     if robust:
         if loss is not None:
             raise OptimizationError("robust and loss exclude each other: choose one of them")
-        decision = decide(rooted, trusted, progress=progress)
+        # Closures are judged by the edges; priors and landmarks join afterwards.
+        relative = rooted.with_priors(None).with_landmarks(None)
+        checked_support(relative, "robust")
+        decision = decide(relative, trusted, progress=progress)
         rooted, trusted = rooted.without_edges(~decision.kept), None
-    equations = normal_equations(rooted, threads)
-    guess = guess_of(rooted, init, seed=seed, progress=progress, equations=equations)
-    if decision is not None and equations.chi2(decision.poses) < guess.chi2:
-        guess = guess.with_poses(decision.poses)
+    assembly = None
+    if needs_assembly(rooted):
+        assembly = guess_of_assembly(assemble(rooted), init, seed=seed, progress=progress)
+        equations = normal_equations(assembly.graph, threads)
+        guess = assembly.graph
+    else:
+        equations = normal_equations(rooted, threads)
+        guess = guess_of(rooted, init, seed=seed, progress=progress, equations=equations)
+        if decision is not None and equations.chi2(decision.poses) < guess.chi2:
+            guess = guess.with_poses(decision.poses)
     init_seconds = perf_counter() - start
     for note in guess.notes:
         if note not in graph.notes:
             warnings.warn(note, MasatWarning, stacklevel=2)
     cut_short = progress.over
-    result = optimize(
-        guess,
-        optimizer,
+    options: dict[str, Any] = dict(
         loss=loss,
         scale=scale,
         trusted=trusted,
@@ -142,6 +151,10 @@ def solve(
         progress=progress,
         equations=equations,
     )
+    if assembly is None:
+        result = optimize(guess, optimizer, **options)
+    else:
+        result = optimize_assembly(assembly, optimizer, **options)
     if cut_short:
         message = f"{StopReason.INTERRUPTED.value}: the map is the best so far"
         result = replace(result, reason=StopReason.INTERRUPTED, message=message)
