@@ -9,7 +9,6 @@ determines is kept at the initial guess by further edges from the world (`determ
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -114,6 +113,11 @@ class Assembly:
         """Return the assembly with poses of all nodes."""
         return replace(self, graph=self.graph.with_poses(nodes))
 
+    def with_notes(self, notes: list[str]) -> Assembly:
+        """Return the assembly with more notes."""
+        every = tuple(dict.fromkeys([*self.graph.notes, *notes]))
+        return replace(self, graph=replace(self.graph, notes=every))
+
     def with_edges_from_world(
         self, nodes: Ids, measurements: Floats, information: Floats
     ) -> Assembly:
@@ -139,9 +143,6 @@ class Assembly:
             offsets=_padded(old.offsets, len(nodes)),
         )
         return replace(self, graph=graph)
-
-
-MaybeAssembled: TypeAlias = Assembly | None
 
 
 def needs_assembly(graph: PoseGraph) -> bool:

@@ -15,6 +15,7 @@ import numpy as np
 from masat import _core
 from masat.arrays import Flags, Floats, Ids, Indices
 from masat.assembly import Assembly
+from masat.errors import OptimizationError
 from masat.information import partial
 from masat.residuals import residuals
 from masat.structure import eliminate
@@ -40,12 +41,16 @@ class Freedom(NamedTuple):
         Undetermined directions of translation, in the world's frame.
     rotations : ndarray, (b, 1) or (b, 3)
         Undetermined axes of rotation, in the world's frame; in 2D [1].
+    exact : bool
+        Whether chi2 does not change however far the body moves so: a single measurement ties it.
+        Else it may change a little beyond first order.
     """
 
     node: int
     size: int
     translations: Floats
     rotations: Floats
+    exact: bool
 
 
 def undetermined(assembly: Assembly) -> list[Freedom]:
@@ -122,6 +127,8 @@ class _Bodies:
         ends = bodies[graph.edge_indices]
         between = ends[:, 0] != ends[:, 1]
         self._ends = np.ascontiguousarray(ends[between])
+        # An edge that keeps the rotation of a landmark measures nothing.
+        self._measured = np.flatnonzero(between) < assembly.measured
         start, end = _jacobians(assembly, self._center[bodies], between)
         self._blocks = _products(start, graph.information[between], end)
 
@@ -185,6 +192,7 @@ class _Bodies:
             second[k] = (near or 1.0) * rows.T @ rows
         fixed = np.full(count, np.flatnonzero(self._fixed)[0] if self._fixed.any() else -1)
         self._ends = np.concatenate([self._ends, np.stack([fixed, bodies], 1)])
+        self._measured = np.append(self._measured, np.zeros(count, np.bool_))
         added = (zero, zero, second)
         self._blocks = tuple(np.concatenate(pair) for pair in zip(self._blocks, added, strict=True))
 
@@ -202,8 +210,20 @@ class _Bodies:
         pure = motion[:d] @ mixing[turning:].T
         across, sizes, _ = np.linalg.svd(pure, full_matrices=False)
         return Freedom(
-            node, int(self._size[body]), across[:, sizes > _ZERO].T, axes[:, :turning].T
+            node,
+            int(self._size[body]),
+            across[:, sizes > _ZERO].T,
+            axes[:, :turning].T,
+            bool(np.count_nonzero((self._ends == body).any(axis=1) & self._measured) <= 1),
         )
+
+
+def refuse_undetermined(assembly: Assembly, what: str) -> None:
+    """Raise an OptimizationError that names what is not determined, if anything is not."""
+    found = undetermined(assembly)
+    if found:
+        said = _sentence(assembly, found[0]).replace("; kept at the initial guess", "")
+        raise OptimizationError(f"{what}: {said}")
 
 
 def _jacobians(assembly: Assembly, center: Floats, rows: Flags) -> tuple[Floats, Floats]:
@@ -331,27 +351,30 @@ def _seen(assembly: Assembly, freedom: Freedom) -> str:
     edges = touching[: len(source.edges)] & ~inside[: len(source.edges)]
     partly = int(np.count_nonzero(edges))
     parts = [
-        f"{count} {noun}{'' if count == 1 else 's'}"
-        for count, noun in (
+        f"{_NUMBERS.get(count, count)} {noun}{end if count > 1 else one}"
+        for count, (noun, one, end) in (
             (priors, _kind_of_priors(assembly, touching)),
-            (seen, "observation"),
-            (partly, "edge of partial information"),
+            (seen, ("observation", "", "s")),
+            (partly, ("partial edge", "", "s")),
         )
         if count
     ]
-    return "measured only by " + " and ".join(parts) if parts else "nothing measures it"
+    return "seen only by " + " and ".join(parts) if parts else "nothing measures it"
 
 
 def _body(assembly: Assembly, freedom: Freedom) -> int:
     return int(body_of_each_node(assembly)[freedom.node])
 
 
-def _kind_of_priors(assembly: Assembly, touching: Flags) -> str:
-    """Return what the priors of a body measure, in one word or two."""
+_NUMBERS = {1: "one", 2: "two", 3: "three"}
+
+
+def _kind_of_priors(assembly: Assembly, touching: Flags) -> tuple[str, str, str]:
+    """Return what the priors of a body measure, and the endings of one and of several."""
     d, rows = assembly.graph.dimension, assembly.prior_rows
     information = assembly.graph.information[rows][touching[rows]]
     turned = information[:, d:, d:].any(axis=(1, 2))
     placed = information[:, :d, :d].any(axis=(1, 2))
     if not turned.any():
-        return "position prior"
-    return "rotation prior" if not placed.any() else "prior"
+        return "position fix", "", "es"
+    return ("heading prior" if d == 2 else "rotation prior") if not placed.any() else "prior", "", "s"

@@ -150,8 +150,8 @@ def optimize(
                 "the landmarks have no positions: give them some with masat.initialize"
             )
         assembly, notes = with_undetermined_kept(assemble(graph))
-        result = optimize_assembly(
-            assembly,
+        return optimize_assembly(
+            assembly.with_notes(notes),
             method,
             loss=loss,
             scale=scale,
@@ -165,7 +165,6 @@ def optimize(
             progress=progress,
             equations=equations,
         )
-        return replace(result, graph=result.graph.with_poses(result.poses, notes=notes))
     if max_iterations < 0 or min(relative_tolerance, absolute_tolerance, gradient_tolerance) < 0:
         raise OptimizationError("iteration limit and tolerances must not be negative")
     if loss is None and (scale is not None or trusted is not None):
@@ -278,7 +277,7 @@ def optimize_assembly(
     result = optimize(graph, method, loss=loss, trusted=believed, **options)
     return replace(
         result,
-        graph=assembly.disassembled(result.poses),
+        graph=replace(assembly.disassembled(result.poses), notes=graph.notes),
         gauge=source.gauge,
         weights=None if result.weights is None else result.weights[: len(source.edges)],
     )
