@@ -13,12 +13,23 @@ namespace masat {
 // An edge's label is a comment at the end of its line: "# label: NAME".
 inline constexpr std::string_view kLabel = "label:";
 
-enum class Kind { kVertex, kEdge, kFix, kPose };  // kPose: a vertex without an id
+enum class Kind {
+  kVertex,
+  kEdge,
+  kFix,
+  kPose,         // a vertex without an id
+  kPrior,        // an edge from the world
+  kPoint,        // a vertex that is a landmark
+  kObservation,  // an edge from a pose to a landmark
+  kParameter,    // the pose of a sensor on the robot
+};
 
 enum class PoseText {
   kXYTheta,  // x y theta
   kXYZQuat,  // x y z qx qy qz qw
   kXYZRPY,   // x y z roll pitch yaw; the information refers to these angles
+  kXY,       // x y: a position
+  kXYZ,      // x y z
 };
 
 enum class InformationText {
@@ -34,6 +45,7 @@ struct Record {
   PoseText pose;
   InformationText information;
   bool information_optional;
+  bool parameter;  // whether the id of a parameter follows those of the vertices
 };
 
 struct ParseError : std::runtime_error {
@@ -55,6 +67,15 @@ struct ParsedGraph {
   std::vector<std::int64_t> edge_ids, edge_lines;  // (from, to) pairs
   std::vector<double> measurements, information;
   std::vector<std::string> edge_labels;  // empty if no edge has one; "" for an edge without
+  // Poses and information of poses; of positions the rotation is the identity, without information.
+  std::vector<std::int64_t> prior_ids, prior_lines, prior_parameters;  // parameter -1: none
+  std::vector<double> priors, prior_information;
+  std::vector<std::int64_t> point_ids, point_lines;
+  std::vector<double> points;
+  std::vector<std::int64_t> observation_ids, observation_lines, observation_parameters;
+  std::vector<double> observations, observation_information;  // positions
+  std::vector<std::int64_t> parameter_ids, parameter_lines;
+  std::vector<double> parameters;
   std::vector<std::int64_t> fixed_ids, fixed_lines;
   std::vector<UnknownTag> unknown;
   std::int64_t edges_without_information = 0;
