@@ -196,15 +196,9 @@ def semidefinite_matrices(
     bad = not_semidefinite(matrices)
     if len(bad):
         k = int(bad[0])
-        if not matrices[k].any():
-            raise InformationError(
-                f"the information of {name(k)} is zero: it measures nothing, leave it out",
-                edge=k,
-                count=len(bad),
-            )
         raise InformationError(
-            f"the information matrices of {len(bad)} of {m} {plural} are not positive "
-            f"semidefinite, first that of {name(k)}, smallest eigenvalue "
+            f"the information matrices of {len(bad)} of {m} {plural} are zero or not "
+            f"positive semidefinite, first that of {name(k)}, smallest eigenvalue "
             f"{np.linalg.eigvalsh(matrices[k])[0]:.6g}",
             edge=k,
             count=len(bad),

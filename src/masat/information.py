@@ -32,7 +32,9 @@ def not_semidefinite(information: Floats) -> Ids:
     bad = indefinite(information)
     if len(bad) == 0:
         return bad
-    values = np.linalg.eigvalsh(information[bad])
+    # By their largest entry: eigenvalues of numbers near the largest double overflow.
+    largest = np.abs(information[bad]).max(axis=(1, 2), keepdims=True)
+    values = np.linalg.eigvalsh(information[bad] / np.where(largest > 0, largest, 1.0))
     fine = (values[:, 0] >= -_ROUNDED_ZERO * values[:, -1]) & (values[:, -1] > 0)
     return bad[~fine]
 
