@@ -245,7 +245,9 @@ INDEFINITE = (
 
 
 def test_indefinite_information_is_counted_and_the_first_line_named(read):
-    message = r"1 of 3 edges are zero or not positive semidefinite, first that of edge 1 \(1 -> 2\).*-1; "
+    message = (
+        r"1 of 3 edges are zero or not positive semidefinite, first that of edge 1 \(1 -> 2\).*-1; "
+    )
     with pytest.raises(FormatError, match=message) as caught:
         read("# a bad one\n" + INDEFINITE)
     assert caught.value.line == 3

@@ -50,8 +50,7 @@ class Matches:
         return np.concatenate(
             [
                 self.position_weights * np.square(moved - self.targets).sum(axis=1),
-                self.rotation_weights
-                * np.square(turned - self.target_rotations).sum(axis=(1, 2)),
+                self.rotation_weights * np.square(turned - self.target_rotations).sum(axis=(1, 2)),
             ]
         )
 
@@ -91,7 +90,7 @@ def rigid_motion(matches: Matches) -> Floats:
         agreeing = residuals <= _FAR**2 * np.median(residuals)
         best = _motion(matches, agreeing)
     rotation, translation = best
-    pose = _core.nearest_rotations(np.ascontiguousarray(rotation[None]))[0]
+    pose: Floats = _core.nearest_rotations(np.ascontiguousarray(rotation[None]))[0]
     pose[:d] = translation
     return pose
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from masat import _core
-from masat.arrays import Flags, Floats, Ids, Indices
+from masat.arrays import Flags, Floats, Indices
 from masat.assembly import Assembly
 from masat.errors import OptimizationError
 from masat.information import partial
@@ -344,8 +344,8 @@ def _seen(assembly: Assembly, freedom: Freedom) -> str:
     """Say what measures a body."""
     graph, source = assembly.graph, assembly.source
     own = np.flatnonzero(body_of_each_node(assembly) == _body(assembly, freedom))
-    touching = np.isin(graph.edge_indices, own).any(axis=1)
-    inside = np.isin(graph.edge_indices, own).all(axis=1)
+    touching: Flags = np.asarray(np.isin(graph.edge_indices, own).any(axis=1))
+    inside: Flags = np.asarray(np.isin(graph.edge_indices, own).all(axis=1))
     priors = int(np.count_nonzero(touching[assembly.prior_rows]))
     seen = int(np.count_nonzero(touching[assembly.observation_rows]))
     edges = touching[: len(source.edges)] & ~inside[: len(source.edges)]
@@ -377,4 +377,8 @@ def _kind_of_priors(assembly: Assembly, touching: Flags) -> tuple[str, str, str]
     placed = information[:, :d, :d].any(axis=(1, 2))
     if not turned.any():
         return "position fix", "", "es"
-    return ("heading prior" if d == 2 else "rotation prior") if not placed.any() else "prior", "", "s"
+    return (
+        ("heading prior" if d == 2 else "rotation prior") if not placed.any() else "prior",
+        "",
+        "s",
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -167,9 +167,7 @@ class PoseGraph:
             raise GraphError(f"{len(pairs)} edges but {len(z)} measurements")
         dof = lie.DOF[2 if z.shape[1] == 3 else 3]
 
-        nodes = (
-            _named(pairs, all_priors, landmarks) if ids is None else checks.integers("ids", ids)
-        )
+        nodes = _named(pairs, all_priors, landmarks) if ids is None else checks.integers("ids", ids)
         if nodes.ndim != 1:
             raise GraphError(f"ids must have shape (n,), got {nodes.shape}")
         if len(nodes) == 0:
@@ -272,7 +270,7 @@ class PoseGraph:
             f"{'without' if self.poses is None else 'with'} poses)"
         )
 
-    def with_poses(self, poses: ArrayLike, *, notes: Iterable[str] = ()) -> PoseGraph:
+    def with_poses(self, poses: ArrayLike, *, notes: Iterable[str] = ()) -> Self:
         """Return the graph with other poses, (n, 3) or (n, 7) in the order of `ids`.
 
         `notes` are added to those of the graph.
@@ -479,9 +477,7 @@ class PoseGraph:
         return self.structure.elimination
 
 
-def _pose_size(
-    poses: Floats | None, priors: Priors | None, landmarks: Landmarks | None
-) -> int:
+def _pose_size(poses: Floats | None, priors: Priors | None, landmarks: Landmarks | None) -> int:
     """Return how many numbers a pose has where no edge tells it."""
     if poses is not None:
         return int(poses.shape[1])
@@ -496,8 +492,10 @@ def _named(pairs: Ids, priors: Priors | None, landmarks: Landmarks | None) -> Id
         return checks.distinct(pairs)
     named = [pairs.ravel()]
     if priors is not None:
-        points = [] if landmarks is None else landmarks.ids
-        named.append(priors.ids[~np.isin(priors.ids, points)])
+        on_pose = np.ones(len(priors), np.bool_)
+        if landmarks is not None:
+            on_pose = ~np.isin(priors.ids, landmarks.ids)
+        named.append(priors.ids[on_pose])
     if landmarks is not None:
         named.append(landmarks.observations[:, 0])
     return checks.distinct(np.concatenate(named))

@@ -136,7 +136,7 @@ class Landmarks:
     @property
     def dimension(self) -> int:
         """2 or 3."""
-        return self.measurements.shape[1]
+        return int(self.measurements.shape[1])
 
     def with_positions(self, positions: ArrayLike) -> Landmarks:
         """Return the landmarks at other positions, (k, 2) or (k, 3) in the order of `ids`."""
@@ -413,7 +413,7 @@ def saved_priors(arrays: Mapping[str, AnyArray]) -> Priors | None:
         arrays["priors_ids"],
         arrays["priors_measurements"],
         arrays["priors_information"],
-        offset=arrays["priors_offsets"] if "priors_offsets" in arrays else None,
+        offset=arrays.get("priors_offsets", None),
     )
 
 
@@ -426,7 +426,7 @@ def saved_landmarks(arrays: Mapping[str, AnyArray]) -> Landmarks | None:
         arrays["landmarks_measurements"],
         arrays["landmarks_information"],
         ids=arrays["landmarks_ids"],
-        positions=arrays["landmarks_positions"] if "landmarks_positions" in arrays else None,
+        positions=arrays.get("landmarks_positions", None),
     )
 
 

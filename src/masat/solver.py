@@ -127,6 +127,7 @@ def solve(
         decision = decide(relative, trusted, progress=progress)
         rooted, trusted = rooted.without_edges(~decision.kept), None
     assembly = None
+    guess: PoseGraph
     if needs_assembly(rooted):
         assembly = guess_of_assembly(assemble(rooted), init, seed=seed, progress=progress)
         equations = normal_equations(assembly.graph, threads)
@@ -141,16 +142,16 @@ def solve(
         if note not in graph.notes:
             warnings.warn(note, MasatWarning, stacklevel=2)
     cut_short = progress.over
-    options: dict[str, Any] = dict(
-        loss=loss,
-        scale=scale,
-        trusted=trusted,
-        max_iterations=max_iterations,
-        relative_tolerance=relative_tolerance,
-        report=report,
-        progress=progress,
-        equations=equations,
-    )
+    options: dict[str, Any] = {
+        "loss": loss,
+        "scale": scale,
+        "trusted": trusted,
+        "max_iterations": max_iterations,
+        "relative_tolerance": relative_tolerance,
+        "report": report,
+        "progress": progress,
+        "equations": equations,
+    }
     if assembly is None:
         result = optimize(guess, optimizer, **options)
     else:

@@ -70,9 +70,7 @@ def _landmarks(parsed: _core.ParsedGraph, path: Path) -> Landmarks | None:
         raise FormatError(str(error), path, _line(lines, error.edge)) from None
 
 
-def _offsets(
-    parsed: _core.ParsedGraph, wanted: Ids, lines: Ids, path: Path
-) -> Floats | None:
+def _offsets(parsed: _core.ParsedGraph, wanted: Ids, lines: Ids, path: Path) -> Floats | None:
     """Return the pose of the sensor of each line, or None if all are the identity."""
     known, poses = parsed["parameter_ids"], parsed["parameters"]
     out = np.tile(lie.identity(2 if poses.shape[1] == 3 else 3), (len(wanted), 1))

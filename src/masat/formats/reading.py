@@ -43,8 +43,8 @@ def read(
         One of `masat.formats.FORMATS`, for a file whose tags fit several formats (`EDGE2` is both
         iSAM's and TORO's) or mislead.
     indefinite : {"error", "nearest", "identity"}
-        What to do if information matrices of edges are not positive semidefinite. "error" refuses the file,
-        "nearest" replaces those matrices by the nearest positive-definite ones, "identity" gives
+        What to do if information matrices of edges are not positive semidefinite. "error" refuses
+        the file, "nearest" replaces those matrices by the nearest positive-definite ones, "identity" gives
         every edge the identity matrix.
     max_bytes : int
         Largest size of the text, decompressed; a larger one is refused.

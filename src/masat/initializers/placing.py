@@ -202,7 +202,7 @@ def _rotations(poses: Floats) -> Floats:
 
 
 def _position_weights(information: Floats, isotropic: Floats) -> Floats:
-    """Return weights of positions; in 3D those of horizontal fixes, whose height is a guess, too."""
+    """Return weights of positions; a horizontal fix in 3D counts too, its height being a guess."""
     if information.shape[1] == 3:
         return isotropic
     open_ = np.flatnonzero(isotropic == 0)
@@ -217,8 +217,8 @@ def _note_of_components(graph: PoseGraph) -> list[str]:
     if count == 1:
         return []
     return [
-        f"the graph has {count} components, each placed in a frame of its own: nothing measures how "
-        "they lie to each other"
+        f"the graph has {count} components, each placed in a frame of its own: nothing measures "
+        "how they lie to each other"
     ]
 
 

@@ -136,7 +136,9 @@ def _without_zeros(weights: Floats) -> Floats:
     zero = weights == 0
     if not zero.any():
         return weights
-    return np.where(zero, _NEGLIGIBLE * (np.median(weights[~zero]) if not zero.all() else 1), weights)
+    return np.where(
+        zero, _NEGLIGIBLE * (np.median(weights[~zero]) if not zero.all() else 1), weights
+    )
 
 
 def _rotation_residuals(graph: PoseGraph, poses: Floats) -> tuple[Floats, Floats]:

@@ -101,7 +101,9 @@ def tangent_surrogate(graph: PoseGraph, poses: Floats) -> Surrogate:
         measure a sensor off its node.
     """
     if graph.sensor_offsets is not None:
-        raise OptimizationError("no bound on chi2 is known for priors with a lever arm or an offset")
+        raise OptimizationError(
+            "no bound on chi2 is known for priors with a lever arm or an offset"
+        )
     e = residuals(graph, poses)
     part = _representable(graph)
     if graph.dimension == 2:
