@@ -44,8 +44,8 @@ def read(
         iSAM's and TORO's) or mislead.
     indefinite : {"error", "nearest", "identity"}
         What to do if information matrices of edges are not positive semidefinite. "error" refuses
-        the file, "nearest" replaces those matrices by the nearest positive-definite ones, "identity" gives
-        every edge the identity matrix.
+        the file, "nearest" replaces those matrices by the nearest positive-definite ones,
+        "identity" gives every edge the identity matrix.
     max_bytes : int
         Largest size of the text, decompressed; a larger one is refused.
 
