@@ -17,7 +17,7 @@ _SUBSETS = 100
 _TRIMMED = 0.6
 # Steps that take the motion of those residuals again, and how many candidates take all of them.
 _FIRST_STEPS, _LAST_STEPS, _CANDIDATES = 2, 20, 5
-# Residuals beyond this multiple of the median of the best motion do not count at the end. The search
+# Residuals beyond this multiple of the median of the best motion do not count. The search for it
 # is left out where none is: of 1000 Gaussian residuals in 2D the largest is 3.2 times the median.
 _FAR = 3.3
 
@@ -177,7 +177,7 @@ def _improved(matches: Matches, motions: Motions, kept: int, steps: int) -> Moti
 def _trimmed(matches: Matches, motions: Motions, kept: int) -> Floats:
     """Return the sum of the smallest residuals of each motion, (s,)."""
     smallest: Floats = np.partition(matches.residuals(motions), kept - 1, axis=1)[:, :kept]
-    return smallest.sum(axis=1)
+    return np.asarray(smallest.sum(axis=1))
 
 
 def moved(poses: Floats, motion: Floats, which: Flags | Ids) -> Floats:
