@@ -96,7 +96,7 @@ def test_landmarks_seen_along_one_ray_are_said_not_crashed():
 
 
 def test_covariances_of_what_is_not_determined_are_refused():
-    with pytest.raises(OptimizationError, match="no covariances: .* heading not determined"):
+    with pytest.raises(OptimizationError, match=r"no covariances: .* heading not determined"):
         masat.covariances(planar(fixes(2)))
 
 

@@ -29,21 +29,19 @@ template <class Group>
 class EquationsOfArrays final : public NormalEquationsOf<Group> {
  public:
   EquationsOfArrays(nb::object topology, std::shared_ptr<Elimination> elimination,
-                    const Table<double>& measurements, const Stack& information,
-                    const std::optional<Table<double>>& offsets, int threads)
-      : NormalEquationsOf<Group>(*nb::inst_ptr<Topology>(topology), std::move(elimination),
-                                 measurements.data(), information.data(),
-                                 data_of(offsets, measurements.shape(0), Group::kSize), threads),
+                    const Table<double>& measurements, const Stack& information, int threads)
+      : NormalEquationsOf<Group>(
+            RelativePoseFactors<Group>(nb::inst_ptr<Topology>(topology)->edges(),
+                                       measurements.data(), information.data()),
+            std::move(elimination), threads),
         topology_(std::move(topology)),
         measurements_(measurements),
-        information_(information),
-        offsets_(offsets) {}
+        information_(information) {}
 
  private:
   nb::object topology_;
   Table<double> measurements_;
   Stack information_;
-  std::optional<Table<double>> offsets_;
 };
 
 std::unique_ptr<NormalEquations> make_equations(nb::handle_t<Topology> topology,
@@ -58,13 +56,17 @@ std::unique_ptr<NormalEquations> make_equations(nb::handle_t<Topology> topology,
       elimination->nodes() == graph.nodes() && elimination->edges() == static_cast<std::int64_t>(m),
       "the elimination must be of the same graph");
   nb::object owner = nb::borrow(topology);
+  if (offsets) {
+    return equations_at_offsets(std::move(owner), std::move(elimination), measurements, information,
+                                *offsets, threads);
+  }
   nb::gil_scoped_release release;
   return with_group(
       measurements.shape(1), [&]<class Group>(Group*) -> std::unique_ptr<NormalEquations> {
         require(information.shape(1) == Group::kDof && information.shape(2) == Group::kDof,
                 "information must be (m, d, d)");
-        return std::make_unique<EquationsOfArrays<Group>>(
-            std::move(owner), std::move(elimination), measurements, information, offsets, threads);
+        return std::make_unique<EquationsOfArrays<Group>>(std::move(owner), std::move(elimination),
+                                                          measurements, information, threads);
       });
 }
 

@@ -11,6 +11,7 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
+#include "factors/offset_pose.hpp"
 #include "factors/relative_pose.hpp"
 #include "factors/sums.hpp"
 #include "graph/topology.hpp"
@@ -129,8 +130,13 @@ Array<double> residuals_of(const Topology& graph, const Table<double>& measureme
   {
     nb::gil_scoped_release release;
     with_group(poses.shape(1), [&]<class Group>(Group*) {
-      residuals(RelativePoseFactors<Group>(graph.edges(), measurements.data(), nullptr, moved),
-                typename Group::Table(poses.data(), graph.nodes()), out.data());
+      const typename Group::Table at(poses.data(), graph.nodes());
+      if (moved == nullptr) {
+        residuals(RelativePoseFactors<Group>(graph.edges(), measurements.data()), at, out.data());
+      } else {
+        residuals(OffsetPoseFactors<Group>(graph.edges(), measurements.data(), nullptr, moved), at,
+                  out.data());
+      }
     });
   }
   return as_array(std::move(out), {measurements.shape(0), dof});
@@ -147,8 +153,14 @@ Array<double> chi2_of_edges(const Topology& graph, const Table<double>& measurem
                 information.shape(2) == Group::kDof,
             "information must be (m, d, d)");
     nb::gil_scoped_release release;
-    costs(RelativePoseFactors<Group>(graph.edges(), measurements.data(), information.data(), moved),
-          typename Group::Table(poses.data(), graph.nodes()), out.data());
+    const typename Group::Table at(poses.data(), graph.nodes());
+    if (moved == nullptr) {
+      costs(RelativePoseFactors<Group>(graph.edges(), measurements.data(), information.data()), at,
+            out.data());
+    } else {
+      costs(OffsetPoseFactors<Group>(graph.edges(), measurements.data(), information.data(), moved),
+            at, out.data());
+    }
   });
   return as_array(std::move(out));
 }

@@ -14,6 +14,8 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
+#include "factors/offset_pose.hpp"
+#include "factors/relative_pose.hpp"
 #include "graph/topology.hpp"
 #include "optimizers/translations.hpp"
 #include "relaxation/pose_form.hpp"
@@ -143,8 +145,15 @@ nb::tuple solved_translations(const Topology& graph, GraphMatrix& matrix,
     require(information.shape(0) == graph.edges().size() && information.shape(1) == Group::kDof &&
                 information.shape(2) == Group::kDof,
             "information must be (m, d, d)");
-    failed =
-        solve_translations<Group>(graph, matrix, measurements.data(), information.data(), moved, p);
+    const auto solve = [&](const auto& factors) {
+      failed = solve_translations<Group>(factors, matrix, p);
+    };
+    if (moved == nullptr) {
+      solve(RelativePoseFactors<Group>(graph.edges(), measurements.data(), information.data()));
+    } else {
+      solve(
+          OffsetPoseFactors<Group>(graph.edges(), measurements.data(), information.data(), moved));
+    }
   });
   return nb::make_tuple(out, failed);
 }

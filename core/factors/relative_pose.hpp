@@ -20,21 +20,16 @@ class RelativePoseFactors {
   using Tangent = typename Group::Tangent;
   using Square = typename Group::Square;
 
-  // `offsets` are poses of what was measured in the frame of the node that the edge leads to; null:
-  // the identity for all.
   RelativePoseFactors(std::span<const Edge> edges, const double* measurements,
-                      const double* information = nullptr, const double* offsets = nullptr)
+                      const double* information = nullptr)
       : edges_(edges),
         measured_(measurements, static_cast<std::int64_t>(edges.size())),
-        information_(information),
-        offsets_(offsets) {}
+        information_(information) {}
 
   std::int64_t size() const { return static_cast<std::int64_t>(edges_.size()); }
 
   template <class Poses>
   Tangent residual(std::int64_t k, const Poses& poses) const {
-    if (offsets_ != nullptr) [[unlikely]]
-      return residual_at_offset(k, poses);
     return error(measured_[k], poses[edges_[k].from], poses[edges_[k].to]);
   }
 
@@ -50,9 +45,7 @@ class RelativePoseFactors {
   [[gnu::always_inline]] double linearize(std::int64_t k, const Poses& poses,
                                           const EdgeLosses& losses, System& system) const {
     Square from, to;
-    const Tangent e = offsets_ == nullptr ? error(measured_[k], poses[edges_[k].from],
-                                                  poses[edges_[k].to], from, to)
-                                          : error_at_offset(k, poses, from, to);
+    const Tangent e = error(measured_[k], poses[edges_[k].from], poses[edges_[k].to], from, to);
     const bool robust = losses.robust(k);
     LossValue value{0, losses.weight(k)};
     if (robust) value = losses.loss()(e.dot(information(k) * e));
@@ -63,21 +56,6 @@ class RelativePoseFactors {
   }
 
  private:
-  // Not inlined: the loop over edges without offsets stays small.
-  template <class Poses>
-  [[gnu::noinline]] Tangent residual_at_offset(std::int64_t k, const Poses& poses) const {
-    return error(measured_[k], poses[edges_[k].from], poses[edges_[k].to] * offset(k));
-  }
-  template <class Poses>
-  [[gnu::noinline]] Tangent error_at_offset(std::int64_t k, const Poses& poses, Square& from,
-                                            Square& to) const {
-    const Group o = offset(k);
-    const Tangent e = error(measured_[k], poses[edges_[k].from], poses[edges_[k].to] * o, from, to);
-    to = (to * step_at(o)).eval();
-    return e;
-  }
-  Group offset(std::int64_t k) const { return Group::load(offsets_ + k * Group::kSize); }
-
   Eigen::Map<const Square> information(std::int64_t k) const {
     return Eigen::Map<const Square>(information_ + k * Group::kDof * Group::kDof);
   }
@@ -85,7 +63,6 @@ class RelativePoseFactors {
   std::span<const Edge> edges_;
   typename Group::Table measured_;
   const double* information_;
-  const double* offsets_;
 };
 
 }  // namespace masat

@@ -158,7 +158,7 @@ def _upper(information: Floats) -> Floats:
 
 FORMAT = Format(
     name="g2o",
-    summary="g2o: VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX; priors, landmarks",
+    summary="g2o: poses, edges, FIX, priors and landmarks of slam2d and slam3d",
     records=(
         Record("EDGE_SE2", Kind.EDGE),
         Record("VERTEX_SE2", Kind.VERTEX),
