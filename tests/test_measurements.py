@@ -283,3 +283,25 @@ def test_positions_on_the_earth_need_a_package_or_are_near_their_origin():
 def test_what_is_no_position_on_the_earth_is_refused():
     with pytest.raises(GraphError, match="position 1 is not on the Earth"):
         masat.east_north_up([0, 91], [0, 0])
+
+
+@pytest.mark.parametrize(
+    ("matrix", "fine"),
+    [
+        (np.diag([1.0, 1, 0]), True),
+        (np.diag([0, 0, 3.0]), True),
+        (np.array([[1.0, 1, 0], [1, 1, 0], [0, 0, 1]]), True),
+        (np.diag([1e300, 1e-300, 0]), True),
+        (np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1.0]]), False),
+        (np.diag([1e308, 1, -1]), False),
+        (np.array([[1.0, 1 + 1e-9, 0], [1 + 1e-9, 1, 0], [0, 0, 1]]), False),
+        (np.zeros((3, 3)), False),
+    ],
+)
+def test_information_may_be_semidefinite_but_not_indefinite_or_zero(matrix, fine):
+    if fine:
+        graph = PoseGraph.from_arrays([(0, 1)], [(1, 0, 0)], matrix)
+        assert graph.has_partial_edges or np.linalg.cond(matrix) > 1e20
+        return
+    with pytest.raises(InformationError, match="are zero or not positive semidefinite"):
+        PoseGraph.from_arrays([(0, 1)], [(1, 0, 0)], matrix)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 Repair: TypeAlias = Literal["error", "nearest", "identity"]
 """What to do with indefinite information: refuse it, or take the nearest or the identity."""
 
-# How far below zero, as a fraction of the largest, rounding may take an eigenvalue that is zero.
+# How far below zero rounding may take an eigenvalue that is zero, the diagonal being 1.
 _ROUNDED_ZERO = 1e-14
 # Smallest eigenvalue after a repair, as a fraction of the largest: no direction is lost, and the
 # normal equations keep half of the digits of a double.
@@ -32,11 +32,20 @@ def not_semidefinite(information: Floats) -> Ids:
     bad = indefinite(information)
     if len(bad) == 0:
         return bad
-    # By their largest entry: eigenvalues of numbers near the largest double overflow.
-    largest = np.abs(information[bad]).max(axis=(1, 2), keepdims=True)
-    values = np.linalg.eigvalsh(information[bad] / np.where(largest > 0, largest, 1.0))
-    fine = (values[:, 0] >= -_ROUNDED_ZERO * values[:, -1]) & (values[:, -1] > 0)
-    return bad[~fine]
+    rows = information[bad]
+    diagonal = np.einsum("kii->ki", rows)
+    fine = (diagonal >= 0).all(axis=1) & diagonal.any(axis=1)
+    # A direction without information has no part in the others either.
+    fine &= ~((diagonal == 0)[:, :, None] & (rows != 0)).any(axis=(1, 2))
+    # By the diagonal, so that neither units nor numbers near the largest double matter.
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    with np.errstate(over="ignore"):
+        scaled = rows / scale[:, :, None] / scale[:, None]
+    # Of a semidefinite matrix no entry is beyond 1 now.
+    fine &= (np.abs(scaled) <= 1 + _ROUNDED_ZERO).all(axis=(1, 2))
+    fine[fine] = np.linalg.eigvalsh(scaled[fine])[:, 0] >= -_ROUNDED_ZERO
+    wrong: Ids = bad[~fine]
+    return wrong
 
 
 def nearest_positive_definite(information: Floats) -> Floats:
