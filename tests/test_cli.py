@@ -83,7 +83,7 @@ def test_without_convergence_the_best_is_written_and_the_code_is_1(run, world, t
     [
         ("EDGE_SE2 0 1 1 0\n", "bad.g2o:1: "),
         ("", "empty"),
-        ("EDGE_SE2 0 1 1 0 0 1 0 0 -1 0 1\n", "not positive definite"),
+        ("EDGE_SE2 0 1 1 0 0 1 0 0 -1 0 1\n", "not positive semidefinite"),
     ],
 )
 def test_bad_files_are_one_line_and_code_2(run, tmp_path, text, said):
@@ -133,7 +133,7 @@ def test_indefinite_information_is_a_choice(run, tmp_path):
     for choice in ("nearest", "identity"):
         code, _, err = run("solve", path, "--indefinite", choice)
         assert code == 0
-        assert "not positive definite" in err
+        assert "not positive semidefinite" in err
 
 
 def test_info_tells_the_figures_and_the_oddities(run, world, tmp_path):

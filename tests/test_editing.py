@@ -149,7 +149,7 @@ def test_edges_that_are_removed_and_added_again_leave_the_same_cost(graph, data)
         ({"measurements": [[0, 0, 0, 0, 0, 0, 1]]}, r"measurements must have shape \(1, 3\)"),
         ({"measurements": [[0, 0, np.inf]]}, r"measurement of edge 0 \(1 -> 2\) is not finite"),
         ({"information": np.eye(6)}, r"information must have shape \(1, 3, 3\)"),
-        ({"information": -np.eye(3)}, "not positive definite"),
+        ({"information": -np.eye(3)}, "not positive semidefinite"),
         ({"labels": ["a", "b"]}, r"labels must have shape \(1,\)"),
     ],
 )
@@ -166,8 +166,10 @@ def test_poses_of_new_nodes_are_refused_where_the_graph_has_none():
 def test_old_edges_are_not_checked_again(monkeypatch):
     graph = random_graph(3, 40, 30, seed=2)
     counted = []
-    real = masat._checks.indefinite
-    monkeypatch.setattr(masat._checks, "indefinite", lambda w: counted.append(len(w)) or real(w))
+    real = masat._checks.not_semidefinite
+    monkeypatch.setattr(
+        masat._checks, "not_semidefinite", lambda w: counted.append(len(w)) or real(w)
+    )
     graph.with_edges(graph.edges[:2], graph.measurements[:2], graph.information[:2])
     graph.without_edges([0]).without_nodes([3]).relabel(5).with_fixed([9, 10])
     masat.merge([graph, graph])
@@ -512,7 +514,7 @@ SPATIAL = PoseGraph.from_arrays([[0, 1]], [[0, 0, 0, 0, 0, 0, 1]])
         (([path(0, 1), path(2, HIGHEST), path(0, 1)],), "do not fit in 64 bits"),
         (([path(0, 1)] * 2, ([[1, 2]],)), "`between` must be"),
         (([path(0, 1)] * 2, ([[1, 4]], [STEP])), r"edge 0 \(1 -> 4\) names node 4"),
-        (([path(0, 1)] * 2, ([[1, 2]], [STEP], -np.eye(3))), "not positive definite"),
+        (([path(0, 1)] * 2, ([[1, 2]], [STEP], -np.eye(3))), "not positive semidefinite"),
     ],
 )
 def test_what_cannot_be_merged_is_refused(arguments, message):

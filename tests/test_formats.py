@@ -293,10 +293,10 @@ def test_every_decimal_is_read_as_python_reads_it(read):
 
 def test_unknown_tags_are_skipped_with_one_note_each(read, read_with_notes):
     graph = read_with_notes(
-        "PARAMS_SE2OFFSET 0 0 0 0\n" + WORLD + "EQUIV 0 1\n# EQUIV 7 8\nequiv\nEQUIV a b\n"
+        "PARAMS_OTHER 0 0 0 0\n" + WORLD + "EQUIV 0 1\n# EQUIV 7 8\nequiv\nEQUIV a b\n"
     )
     assert graph.notes == (
-        "1 line with the unknown tag PARAMS_SE2OFFSET skipped (first: line 1)",
+        "1 line with the unknown tag PARAMS_OTHER skipped (first: line 1)",
         "2 lines with the unknown tag EQUIV skipped (first: line 8)",
         "1 line with the unknown tag equiv skipped (first: line 10)",
     )

@@ -6,6 +6,7 @@
 
 #include <cstddef>
 #include <initializer_list>
+#include <optional>
 #include <span>
 #include <stdexcept>
 #include <utility>
@@ -46,6 +47,14 @@ inline void require(bool condition, const char* what) {
 template <class T>
 std::span<const T> span_of(const Vector<T>& v) {
   return {v.data(), v.shape(0)};
+}
+
+// The data of a table of as many rows and columns, or null without one.
+inline const double* data_of(const std::optional<Table<double>>& table, std::size_t rows,
+                             std::size_t columns) {
+  if (!table) return nullptr;
+  require(table->shape(0) == rows && table->shape(1) == columns, "one offset an edge");
+  return table->data();
 }
 
 // Calls f with a null pointer to the group whose poses have that many numbers.

@@ -5,6 +5,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <utility>
 #include <vector>
 
@@ -12,7 +13,9 @@
 
 namespace masat {
 
+class Elimination;
 class GraphMatrix;
+class NormalEquations;
 class Topology;
 
 // A type must be bound before its first use, so module.cpp calls these in order.
@@ -26,6 +29,14 @@ void bind_text(nb::module_& m);
 void check_poses(const Topology& graph, const Table<double>& measurements,
                  const Table<double>& poses);
 void check_rows(const GraphMatrix& matrix, const Stack& v);
+
+// In a file of its own: a second instance of the loop over the edges in one file makes the compiler
+// inline less of both.
+std::unique_ptr<NormalEquations> equations_at_offsets(nb::object topology,
+                                                      std::shared_ptr<Elimination> elimination,
+                                                      const Table<double>& measurements,
+                                                      const Stack& information,
+                                                      const Table<double>& offsets, int threads);
 
 // Blocks of the inverse of a factorized system of d rows a node, by indices among its nodes.
 template <class System>

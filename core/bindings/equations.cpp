@@ -30,8 +30,10 @@ class EquationsOfArrays final : public NormalEquationsOf<Group> {
  public:
   EquationsOfArrays(nb::object topology, std::shared_ptr<Elimination> elimination,
                     const Table<double>& measurements, const Stack& information, int threads)
-      : NormalEquationsOf<Group>(*nb::inst_ptr<Topology>(topology), std::move(elimination),
-                                 measurements.data(), information.data(), threads),
+      : NormalEquationsOf<Group>(
+            RelativePoseFactors<Group>(nb::inst_ptr<Topology>(topology)->edges(),
+                                       measurements.data(), information.data()),
+            std::move(elimination), threads),
         topology_(std::move(topology)),
         measurements_(measurements),
         information_(information) {}
@@ -45,7 +47,8 @@ class EquationsOfArrays final : public NormalEquationsOf<Group> {
 std::unique_ptr<NormalEquations> make_equations(nb::handle_t<Topology> topology,
                                                 std::shared_ptr<Elimination> elimination,
                                                 const Table<double>& measurements,
-                                                const Stack& information, int threads) {
+                                                const Stack& information, int threads,
+                                                const std::optional<Table<double>>& offsets) {
   const Topology& graph = *nb::inst_ptr<Topology>(topology);
   const std::size_t m = graph.edges().size();
   require(measurements.shape(0) == m && information.shape(0) == m, "one row an edge");
@@ -53,6 +56,10 @@ std::unique_ptr<NormalEquations> make_equations(nb::handle_t<Topology> topology,
       elimination->nodes() == graph.nodes() && elimination->edges() == static_cast<std::int64_t>(m),
       "the elimination must be of the same graph");
   nb::object owner = nb::borrow(topology);
+  if (offsets) {
+    return equations_at_offsets(std::move(owner), std::move(elimination), measurements, information,
+                                *offsets, threads);
+  }
   nb::gil_scoped_release release;
   return with_group(
       measurements.shape(1), [&]<class Group>(Group*) -> std::unique_ptr<NormalEquations> {
@@ -132,7 +139,7 @@ void bind_equations(nb::module_& m) {
   bind_losses(m);
   nb::class_<NormalEquations>(m, "NormalEquations")
       .def(nb::new_(&make_equations), "topology"_a, "elimination"_a, "measurements"_a,
-           "information"_a, "threads"_a = 1)
+           "information"_a, "threads"_a = 1, "offsets"_a = nb::none())
       .def(
           "chi2",
           [](NormalEquations& e, const Table<double>& poses) {

@@ -1,14 +1,17 @@
 // The graph, its residuals, and the initial guesses that walk over it.
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/optional.h>
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <utility>
 #include <vector>
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
+#include "factors/offset_pose.hpp"
 #include "factors/relative_pose.hpp"
 #include "factors/sums.hpp"
 #include "graph/topology.hpp"
@@ -118,31 +121,46 @@ Array<double> toro_placement(const Topology& graph, const Vector<std::int32_t>& 
 }
 
 Array<double> residuals_of(const Topology& graph, const Table<double>& measurements,
-                           const Table<double>& poses) {
+                           const Table<double>& poses,
+                           const std::optional<Table<double>>& offsets) {
   check_poses(graph, measurements, poses);
+  const double* const moved = data_of(offsets, measurements.shape(0), poses.shape(1));
   const std::size_t dof = poses.shape(1) == SE2::kSize ? SE2::kDof : SE3::kDof;
   std::vector<double> out(measurements.shape(0) * dof);
   {
     nb::gil_scoped_release release;
     with_group(poses.shape(1), [&]<class Group>(Group*) {
-      residuals(RelativePoseFactors<Group>(graph.edges(), measurements.data()),
-                typename Group::Table(poses.data(), graph.nodes()), out.data());
+      const typename Group::Table at(poses.data(), graph.nodes());
+      if (moved == nullptr) {
+        residuals(RelativePoseFactors<Group>(graph.edges(), measurements.data()), at, out.data());
+      } else {
+        residuals(OffsetPoseFactors<Group>(graph.edges(), measurements.data(), nullptr, moved), at,
+                  out.data());
+      }
     });
   }
   return as_array(std::move(out), {measurements.shape(0), dof});
 }
 
 Array<double> chi2_of_edges(const Topology& graph, const Table<double>& measurements,
-                            const Stack& information, const Table<double>& poses) {
+                            const Stack& information, const Table<double>& poses,
+                            const std::optional<Table<double>>& offsets) {
   check_poses(graph, measurements, poses);
+  const double* const moved = data_of(offsets, measurements.shape(0), poses.shape(1));
   std::vector<double> out(measurements.shape(0));
   with_group(poses.shape(1), [&]<class Group>(Group*) {
     require(information.shape(0) == out.size() && information.shape(1) == Group::kDof &&
                 information.shape(2) == Group::kDof,
             "information must be (m, d, d)");
     nb::gil_scoped_release release;
-    costs(RelativePoseFactors<Group>(graph.edges(), measurements.data(), information.data()),
-          typename Group::Table(poses.data(), graph.nodes()), out.data());
+    const typename Group::Table at(poses.data(), graph.nodes());
+    if (moved == nullptr) {
+      costs(RelativePoseFactors<Group>(graph.edges(), measurements.data(), information.data()), at,
+            out.data());
+    } else {
+      costs(OffsetPoseFactors<Group>(graph.edges(), measurements.data(), information.data(), moved),
+            at, out.data());
+    }
   });
   return as_array(std::move(out));
 }
@@ -165,9 +183,10 @@ void bind_graph(nb::module_& m) {
           },
           "nodes"_a)
       .def("components", [](const Topology& t) { return as_array(t.components()); });
-  m.def("residuals", &residuals_of, "topology"_a, "measurements"_a, "poses"_a);
-  m.def("chi2_per_edge", &chi2_of_edges, "topology"_a, "measurements"_a, "information"_a,
-        "poses"_a);
+  m.def("residuals", &residuals_of, "topology"_a, "measurements"_a, "poses"_a,
+        "offsets"_a = nb::none());
+  m.def("chi2_per_edge", &chi2_of_edges, "topology"_a, "measurements"_a, "information"_a, "poses"_a,
+        "offsets"_a = nb::none());
   m.def("place_along_tree", &tree_placement, "topology"_a, "roots"_a, "preferred"_a,
         "measurements"_a, "poses"_a);
   m.def("place_by_masat", &masat_placement, "topology"_a, "roots"_a, "measurements"_a, "poses"_a);

@@ -90,14 +90,15 @@ Array<double> nearest_rotations(const Stack& matrices) {
 }
 
 Array<std::int64_t> indefinite(const Stack& matrices) {
-  require(
-      matrices.shape(1) == matrices.shape(2) && (matrices.shape(1) == 3 || matrices.shape(1) == 6),
-      "information matrices are 3x3 or 6x6");
+  const std::size_t d = matrices.shape(1), count = matrices.shape(0);
+  require(d == matrices.shape(2) && (d == 2 || d == 3 || d == 6),
+          "information matrices are 2x2, 3x3 or 6x6");
   std::vector<std::int64_t> bad;
   {
     nb::gil_scoped_release release;
-    bad = matrices.shape(1) == 3 ? not_positive_definite<3>(matrices.data(), matrices.shape(0))
-                                 : not_positive_definite<6>(matrices.data(), matrices.shape(0));
+    bad = d == 2   ? not_positive_definite<2>(matrices.data(), count)
+          : d == 3 ? not_positive_definite<3>(matrices.data(), count)
+                   : not_positive_definite<6>(matrices.data(), count);
   }
   return as_array(std::move(bad));
 }

@@ -1,5 +1,6 @@
 // Linear systems over the graph: elimination, factorization, and translations at fixed rotations.
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/unique_ptr.h>
 
@@ -7,11 +8,14 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <utility>
 #include <vector>
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
+#include "factors/offset_pose.hpp"
+#include "factors/relative_pose.hpp"
 #include "graph/topology.hpp"
 #include "optimizers/translations.hpp"
 #include "relaxation/pose_form.hpp"
@@ -130,16 +134,26 @@ Array<double> assembled_poses(GraphMatrix& matrix, const Topology& graph,
 // The poses, and -1 or the node whose translation is not determined.
 nb::tuple solved_translations(const Topology& graph, GraphMatrix& matrix,
                               const Table<double>& measurements, const Stack& information,
-                              const Table<double>& poses) {
+                              const Table<double>& poses,
+                              const std::optional<Table<double>>& offsets) {
   check_poses(graph, measurements, poses);
   check_graph(matrix, graph);
+  const double* const moved = data_of(offsets, measurements.shape(0), poses.shape(1));
   std::int32_t failed = -1;
   auto out = placed(poses, [&]<class Group>(Group*, double* p) {
     require(matrix.block_size() == Group::kDimension, "blocks must have a row a coordinate");
     require(information.shape(0) == graph.edges().size() && information.shape(1) == Group::kDof &&
                 information.shape(2) == Group::kDof,
             "information must be (m, d, d)");
-    failed = solve_translations<Group>(graph, matrix, measurements.data(), information.data(), p);
+    const auto solve = [&](const auto& factors) {
+      failed = solve_translations<Group>(factors, matrix, p);
+    };
+    if (moved == nullptr) {
+      solve(RelativePoseFactors<Group>(graph.edges(), measurements.data(), information.data()));
+    } else {
+      solve(
+          OffsetPoseFactors<Group>(graph.edges(), measurements.data(), information.data(), moved));
+    }
   });
   return nb::make_tuple(out, failed);
 }
@@ -195,7 +209,7 @@ void bind_systems(nb::module_& m) {
           "rows"_a, "columns"_a);
 
   m.def("solve_translations", &solved_translations, "topology"_a, "matrix"_a, "measurements"_a,
-        "information"_a, "poses"_a);
+        "information"_a, "poses"_a, "offsets"_a = nb::none());
 }
 
 }  // namespace masat

@@ -51,6 +51,25 @@ nb::dict parse_text(const nb::bytes& text, const std::vector<Record>& records) {
   out["measurements"] = as_array(std::move(g.measurements), {m, size});
   out["information"] = as_array(std::move(g.information), {m, dof, dof});
   out["edge_labels"] = as_list(g.edge_labels);
+  const std::size_t d = g.dimension == 2 ? 2 : 3;
+  const std::size_t priors = g.prior_lines.size(), seen = g.observation_lines.size();
+  out["prior_ids"] = as_array(std::move(g.prior_ids));
+  out["prior_lines"] = as_array(std::move(g.prior_lines));
+  out["prior_parameters"] = as_array(std::move(g.prior_parameters));
+  out["priors"] = as_array(std::move(g.priors), {priors, size});
+  out["prior_information"] = as_array(std::move(g.prior_information), {priors, dof, dof});
+  const std::size_t points = g.point_lines.size(), parameters = g.parameter_lines.size();
+  out["point_ids"] = as_array(std::move(g.point_ids));
+  out["point_lines"] = as_array(std::move(g.point_lines));
+  out["points"] = as_array(std::move(g.points), {points, d});
+  out["observation_ids"] = as_array(std::move(g.observation_ids), {seen, 2});
+  out["observation_lines"] = as_array(std::move(g.observation_lines));
+  out["observation_parameters"] = as_array(std::move(g.observation_parameters));
+  out["observations"] = as_array(std::move(g.observations), {seen, d});
+  out["observation_information"] = as_array(std::move(g.observation_information), {seen, d, d});
+  out["parameter_ids"] = as_array(std::move(g.parameter_ids));
+  out["parameter_lines"] = as_array(std::move(g.parameter_lines));
+  out["parameters"] = as_array(std::move(g.parameters), {parameters, size});
   out["fixed_ids"] = as_array(std::move(g.fixed_ids));
   out["fixed_lines"] = as_array(std::move(g.fixed_lines));
   out["unknown"] = unknown;
@@ -98,21 +117,27 @@ void bind_text(nb::module_& m) {
       .value("EDGE", Kind::kEdge)
       .value("FIX", Kind::kFix)
       .value("POSE", Kind::kPose)
-      .value("STAMPED_POSE", Kind::kStampedPose);
+      .value("STAMPED_POSE", Kind::kStampedPose)
+      .value("PRIOR", Kind::kPrior)
+      .value("POINT", Kind::kPoint)
+      .value("OBSERVATION", Kind::kObservation)
+      .value("PARAMETER", Kind::kParameter);
   nb::enum_<PoseText>(m, "PoseText")
       .value("XY_THETA", PoseText::kXYTheta)
       .value("XYZ_QUATERNION", PoseText::kXYZQuat)
       .value("XYZ_RPY", PoseText::kXYZRPY)
-      .value("MATRIX", PoseText::kMatrix);
+      .value("MATRIX", PoseText::kMatrix)
+      .value("XY", PoseText::kXY)
+      .value("XYZ", PoseText::kXYZ);
   nb::enum_<InformationText>(m, "InformationText")
       .value("UPPER", InformationText::kUpper)
       .value("TORO_PLANAR", InformationText::kToroPlanar)
       .value("SQUARE_ROOT", InformationText::kSquareRoot)
       .value("COVARIANCE", InformationText::kCovariance);
   nb::class_<Record>(m, "Record")
-      .def(nb::init<std::string, Kind, PoseText, InformationText, bool>(), "tag"_a, "kind"_a,
+      .def(nb::init<std::string, Kind, PoseText, InformationText, bool, bool>(), "tag"_a, "kind"_a,
            "pose"_a = PoseText::kXYTheta, "information"_a = InformationText::kUpper,
-           "information_optional"_a = false)
+           "information_optional"_a = false, "parameter"_a = false)
       .def_ro("tag", &Record::tag);
   m.def("parse", &parse_text, "text"_a, "records"_a);
   m.def("count_tags", &tags_of, "text"_a);

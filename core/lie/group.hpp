@@ -29,6 +29,8 @@ namespace masat {
 // v that is small enough. With two matrices it also writes the derivatives at a * from_tangent(u)
 // and b * from_tangent(v) with respect to u and v.
 //
+// step_at(o) is the derivative of o^-1 from_tangent(u) o, as a tangent vector, at u = 0.
+//
 // Table          Read-only view of an array of poses, which must outlive it or be replaced by
 //                assign(). What many uses of a pose share is computed once, without allocation if
 //                as many poses have been assigned before.
@@ -59,6 +61,7 @@ concept LieGroup =
       { G::from_tangent(in) } -> std::same_as<G>;
       { error(a, a, b) } -> std::same_as<typename G::Tangent>;
       { error(a, a, b, jacobian, jacobian) } -> std::same_as<typename G::Tangent>;
+      { step_at(a) } -> std::same_as<typename G::Square>;
       table.assign(in, count);
       { poses[count] } -> std::convertible_to<G>;
       mean.add(b);

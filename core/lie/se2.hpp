@@ -165,4 +165,13 @@ inline SE2::Tangent error(const SE2& z, const SE2& a, const SE2& b, SE2::Square&
   return detail::error_at(p, z, a, b);
 }
 
+// The derivative of the step that a * o takes when a takes one, o^-1 da o, at da = 0.
+inline SE2::Square step_at(const SE2& o) {
+  SE2::Square m;
+  m << o.c, o.s, o.s * o.x - o.c * o.y,  //
+      -o.s, o.c, o.c * o.x + o.s * o.y,  //
+      0, 0, 1;
+  return m;
+}
+
 }  // namespace masat

@@ -182,4 +182,15 @@ inline SE3::Tangent error(const SE3& z, const SE3& a, const SE3& b, SE3::Square&
   return detail::error_at(p, r, z, zt);
 }
 
+// The derivative of the step that a * o takes when a takes one, o^-1 da o, at da = 0.
+inline SE3::Square step_at(const SE3& o) {
+  const Eigen::Matrix3d back = o.q.conjugate().toRotationMatrix();
+  SE3::Square m;
+  m.topLeftCorner<3, 3>() = back;
+  m.topRightCorner<3, 3>().noalias() = -2 * back * detail::cross_matrix(o.t);
+  m.bottomLeftCorner<3, 3>().setZero();
+  m.bottomRightCorner<3, 3>() = back;
+  return m;
+}
+
 }  // namespace masat

@@ -48,17 +48,15 @@ class NormalEquations {
   virtual void retract(const double* poses, const double* step, double* out) const = 0;
 };
 
-template <LieGroup Group>
+template <LieGroup Group, class Factors = RelativePoseFactors<Group>>
 class NormalEquationsOf : public NormalEquations {
  public:
   static constexpr int kDof = Group::kDof, kSize = Group::kSize;
 
-  // Fixed nodes keep their poses and are not part of the system. The graph, the measurements and
-  // the information are not copied and must outlive it. The numbers do not depend on how many
-  // threads factorize.
-  NormalEquationsOf(const Topology& graph, std::shared_ptr<const Elimination> elimination,
-                    const double* measurements, const double* information, int threads)
-      : tables_(RelativePoseFactors<Group>(graph.edges(), measurements, information)),
+  // Fixed nodes keep their poses and are not part of the system. The factors have one edge of the
+  // graph each. The numbers do not depend on how many threads factorize.
+  NormalEquationsOf(Factors factors, std::shared_ptr<const Elimination> elimination, int threads)
+      : tables_(std::move(factors)),
         matrix_(std::move(elimination), kDof, threads),
         system_(matrix_) {}
   // The system refers to the matrix.
@@ -134,7 +132,7 @@ class NormalEquationsOf : public NormalEquations {
   }
 
   // The kinds of factors. Another kind is one more entry.
-  std::tuple<RelativePoseFactors<Group>> tables_;
+  std::tuple<Factors> tables_;
   typename Group::Table poses_;  // those of the last evaluation
   GraphMatrix matrix_;
   NormalSystem<kDof> system_;

@@ -7,7 +7,6 @@
 
 #include "factors/loss.hpp"
 #include "factors/normal_system.hpp"
-#include "factors/relative_pose.hpp"
 #include "factors/sums.hpp"
 #include "graph/topology.hpp"
 #include "lie/group.hpp"
@@ -39,14 +38,11 @@ class TranslationSystem {
 // Moves the poses of the free nodes. Residuals are linear in the translations: one Gauss-Newton
 // step in them is exact. Leaves its system in the matrix, whose blocks have a row a coordinate.
 // Returns -1, or the node whose translation is not determined.
-template <LieGroup Group>
-std::int32_t solve_translations(const Topology& graph, GraphMatrix& matrix,
-                                const double* measurements, const double* information,
-                                double* poses) {
-  const typename Group::Table pose(poses, graph.nodes());
+template <LieGroup Group, class Factors>
+std::int32_t solve_translations(const Factors& factors, GraphMatrix& matrix, double* poses) {
+  const typename Group::Table pose(poses, matrix.elimination()->nodes());
   TranslationSystem<Group> system(matrix);
-  linearize(RelativePoseFactors<Group>(graph.edges(), measurements, information), pose,
-            EdgeLosses(), system);
+  linearize(factors, pose, EdgeLosses(), system);
   std::vector<double> step = std::move(system).take_rhs();
   const std::vector<double> undamped(step.size());
   const std::span<const std::int32_t> free = matrix.elimination()->free_nodes();

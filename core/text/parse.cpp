@@ -162,10 +162,20 @@ std::string quoted(std::string_view word) {
 constexpr double kMaxOffRotation = 1e-2;
 
 constexpr int dof_of(int dimension) { return dimension == 2 ? 3 : 6; }
-constexpr int dimension_of(PoseText pose) { return pose == PoseText::kXYTheta ? 2 : 3; }
+constexpr bool is_position(PoseText pose) {
+  return pose == PoseText::kXY || pose == PoseText::kXYZ;
+}
+constexpr int dimension_of(PoseText pose) {
+  return pose == PoseText::kXYTheta || pose == PoseText::kXY ? 2 : 3;
+}
 constexpr int width_of(PoseText pose) {
   if (pose == PoseText::kMatrix) return 12;
+  if (is_position(pose)) return dimension_of(pose);
   return pose == PoseText::kXYTheta ? 3 : pose == PoseText::kXYZRPY ? 6 : 7;
+}
+// Rows of the information that a line has.
+constexpr int rows_of(PoseText pose) {
+  return is_position(pose) ? dimension_of(pose) : dof_of(dimension_of(pose));
 }
 constexpr const char* words_of(PoseText pose) {
   switch (pose) {
@@ -175,6 +185,10 @@ constexpr const char* words_of(PoseText pose) {
       return "x y z roll pitch yaw";
     case PoseText::kMatrix:
       return "the upper three rows of a 4x4 matrix, row by row";
+    case PoseText::kXY:
+      return "x y";
+    case PoseText::kXYZ:
+      return "x y z";
     default:
       return "x y z qx qy qz qw";
   }
@@ -215,6 +229,24 @@ class Parser {
       }
       case Kind::kEdge:
         return edge(line, *record);
+      case Kind::kPrior:
+        return prior(line, *record);
+      case Kind::kPoint:
+        out_.point_ids.push_back(integer(line, *record));
+        out_.point_lines.push_back(line.number());
+        numbers(line, *record, width_of(record->pose));
+        end_of(line, *record);
+        pose(line, *record, out_.points);
+        return;
+      case Kind::kObservation:
+        return observation(line, *record);
+      case Kind::kParameter:
+        out_.parameter_ids.push_back(integer(line, *record));
+        out_.parameter_lines.push_back(line.number());
+        numbers(line, *record, width_of(record->pose));
+        end_of(line, *record);
+        pose(line, *record, out_.parameters);
+        return;
       case Kind::kFix:
         do {
           out_.fixed_ids.push_back(integer(line, *record));
@@ -248,12 +280,30 @@ class Parser {
 
   [[noreturn]] static void fail(Line& line, const Record& record, const std::string& found) {
     std::string expected;
-    const int dimension = dimension_of(record.pose), dof = dof_of(dimension);
-    if (record.kind == Kind::kVertex) expected = "id ";
-    if (record.kind == Kind::kStampedPose) expected = "stamp ";
-    if (record.kind == Kind::kEdge) expected = "from to ";
+    const int dof = rows_of(record.pose);
+    switch (record.kind) {
+      case Kind::kVertex:
+      case Kind::kPrior:
+      case Kind::kPoint:
+      case Kind::kParameter:
+        expected = "id ";
+        break;
+      case Kind::kStampedPose:
+        expected = "stamp ";
+        break;
+      case Kind::kEdge:
+        expected = "from to ";
+        break;
+      case Kind::kObservation:
+        expected = "pose point ";
+        break;
+      default:
+        break;
+    }
+    if (record.parameter) expected += "parameter ";
     expected += record.kind == Kind::kFix ? "id" : words_of(record.pose);
-    if (record.kind == Kind::kEdge) {
+    if (record.kind == Kind::kEdge || record.kind == Kind::kPrior ||
+        record.kind == Kind::kObservation) {
       const bool full = record.information == InformationText::kCovariance;
       expected += " + " + std::to_string(full ? dof * dof : dof * (dof + 1) / 2) +
                   (full ? " covariance" : " information") + " numbers";
@@ -344,15 +394,70 @@ class Parser {
     numbers(line, record, width_of(record.pose));
     pose(line, record, out_.measurements);
     if (record.pose == PoseText::kXYTheta) {
-      information<3>(line, record);
+      information<3>(line, record, out_.information);
     } else {
-      information<6>(line, record);
+      information<6>(line, record, out_.information);
     }
     end_of(line, record);
     if (const std::string_view label = text_after(kLabel, line.comment()); !label.empty()) {
       out_.edge_labels.resize(out_.edge_lines.size());
       out_.edge_labels.back() = label;
     }
+  }
+
+  void prior(Line& line, const Record& record) {
+    out_.prior_ids.push_back(integer(line, record));
+    out_.prior_lines.push_back(line.number());
+    const std::int64_t parameter = record.parameter ? integer(line, record) : -1;
+    // g2o reads the parameter of a position's prior, but does not apply it.
+    out_.prior_parameters.push_back(is_position(record.pose) ? -1 : parameter);
+    numbers(line, record, width_of(record.pose));
+    pose(line, record, out_.priors);
+    std::vector<double>& to = out_.prior_information;
+    switch (record.pose) {
+      case PoseText::kXY:
+        out_.priors.push_back(0);
+        padded<2>(line, record, to);
+        break;
+      case PoseText::kXYZ:
+        out_.priors.insert(out_.priors.end(), {0, 0, 0, 1});
+        padded<3>(line, record, to);
+        break;
+      case PoseText::kXYTheta:
+        information<3>(line, record, to);
+        break;
+      default:
+        information<6>(line, record, to);
+    }
+    end_of(line, record);
+  }
+
+  // Appends the information of a pose whose position alone was measured.
+  template <int d>
+  void padded(Line& line, const Record& record, std::vector<double>& to) {
+    constexpr int dof = dof_of(d);
+    std::vector<double> own;
+    information<d>(line, record, own);
+    const std::size_t first = to.size();
+    to.resize(first + dof * dof);
+    for (int r = 0; r < d; ++r) {
+      for (int c = 0; c < d; ++c) to[first + r * dof + c] = own[r * d + c];
+    }
+  }
+
+  void observation(Line& line, const Record& record) {
+    const std::int64_t from = integer(line, record), to = integer(line, record);
+    out_.observation_ids.insert(out_.observation_ids.end(), {from, to});
+    out_.observation_lines.push_back(line.number());
+    out_.observation_parameters.push_back(record.parameter ? integer(line, record) : -1);
+    numbers(line, record, width_of(record.pose));
+    pose(line, record, out_.observations);
+    if (record.pose == PoseText::kXY) {
+      information<2>(line, record, out_.observation_information);
+    } else {
+      information<3>(line, record, out_.observation_information);
+    }
+    end_of(line, record);
   }
 
   // Reserves memory for as many edges of this length as the text can hold. The system provides
@@ -367,7 +472,7 @@ class Parser {
   }
 
   template <int Dof>
-  void information(Line& line, const Record& record) {
+  void information(Line& line, const Record& record, std::vector<double>& to) {
     using Matrix = Eigen::Matrix<double, Dof, Dof, Eigen::RowMajor>;
     Matrix m = Matrix::Zero();
     if (record.information_optional && line.done()) {
@@ -385,21 +490,25 @@ class Parser {
       for (int r = 0; r < Dof; ++r) {
         for (int c = r; c < Dof; ++c) m(r, c) = *v++;
       }
-      if (record.information == InformationText::kToroPlanar) {
-        v = values_.data();
-        m(0, 0) = v[0], m(0, 1) = v[1], m(1, 1) = v[2];
-        m(2, 2) = v[3], m(0, 2) = v[4], m(1, 2) = v[5];
+      if constexpr (Dof == 3) {
+        if (record.information == InformationText::kToroPlanar) {
+          v = values_.data();
+          m(0, 0) = v[0], m(0, 1) = v[1], m(1, 1) = v[2];
+          m(2, 2) = v[3], m(0, 2) = v[4], m(1, 2) = v[5];
+        }
       }
       if (record.information == InformationText::kSquareRoot) m = (m.transpose() * m).eval();
       m.template triangularView<Eigen::StrictlyLower>() = m.transpose();
       if (!m.allFinite()) line.fail("the information matrix overflows");
     }
     // To first order, angles are twice the vector part of the quaternion.
-    if (record.pose == PoseText::kXYZRPY) {
-      m.template bottomRows<3>() *= 2;
-      m.template rightCols<3>() *= 2;
+    if constexpr (Dof == 6) {
+      if (record.pose == PoseText::kXYZRPY) {
+        m.template bottomRows<3>() *= 2;
+        m.template rightCols<3>() *= 2;
+      }
     }
-    out_.information.insert(out_.information.end(), m.data(), m.data() + Dof * Dof);
+    to.insert(to.end(), m.data(), m.data() + Dof * Dof);
   }
 
   const std::vector<Record>& records_;

@@ -13,14 +13,25 @@ namespace masat {
 // Comments at the end of a line: "# label: NAME" of an edge, "# stamp: TIME" of a vertex.
 inline constexpr std::string_view kLabel = "label", kStamp = "stamp";
 
-// kPose: a vertex without an id; kStampedPose: its line begins with its stamp.
-enum class Kind { kVertex, kEdge, kFix, kPose, kStampedPose };
+enum class Kind {
+  kVertex,
+  kEdge,
+  kFix,
+  kPose,         // a vertex without an id
+  kStampedPose,  // one whose line begins with its stamp
+  kPrior,        // an edge from the world
+  kPoint,        // a vertex that is a landmark
+  kObservation,  // an edge from a pose to a landmark
+  kParameter,    // the pose of a sensor on the robot
+};
 
 enum class PoseText {
   kXYTheta,  // x y theta
   kXYZQuat,  // x y z qx qy qz qw
   kXYZRPY,   // x y z roll pitch yaw; the information refers to these angles
   kMatrix,   // the upper three rows of the 4x4 matrix, row by row
+  kXY,       // x y: a position
+  kXYZ,      // x y z
 };
 
 enum class InformationText {
@@ -36,6 +47,7 @@ struct Record {
   PoseText pose;
   InformationText information;
   bool information_optional;
+  bool parameter;  // whether the id of a parameter follows those of the vertices
 };
 
 struct ParseError : std::runtime_error {
@@ -58,6 +70,15 @@ struct ParsedGraph {
   std::vector<std::int64_t> edge_ids, edge_lines;  // (from, to) pairs
   std::vector<double> measurements, information;
   std::vector<std::string> edge_labels;  // empty if no edge has one; "" for an edge without
+  // Poses and information of poses; of positions the rotation is the identity, without information.
+  std::vector<std::int64_t> prior_ids, prior_lines, prior_parameters;  // parameter -1: none
+  std::vector<double> priors, prior_information;
+  std::vector<std::int64_t> point_ids, point_lines;
+  std::vector<double> points;
+  std::vector<std::int64_t> observation_ids, observation_lines, observation_parameters;
+  std::vector<double> observations, observation_information;  // positions
+  std::vector<std::int64_t> parameter_ids, parameter_lines;
+  std::vector<double> parameters;
   std::vector<std::int64_t> fixed_ids, fixed_lines;
   std::vector<UnknownTag> unknown;
   std::int64_t edges_without_information = 0;

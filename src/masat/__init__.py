@@ -8,7 +8,7 @@
 
 from typing import Any
 
-from masat.covariance import covariances, relative_covariances
+from masat.covariance import covariances, landmark_covariances, relative_covariances
 from masat.diagnostics import Diagnosis, diagnose
 from masat.errors import (
     EvaluationError,
@@ -22,8 +22,10 @@ from masat.errors import (
 )
 from masat.evaluation import Evaluation, PoseErrors, evaluate
 from masat.formats import read, write
+from masat.geodesy import east_north_up
 from masat.graph import PoseGraph
 from masat.initializers import initialize
+from masat.measurements import Landmarks, Priors, altitudes, gps, headings, landmarks, pose_priors
 from masat.merging import merge
 from masat.optimality.certificate import Certificate, certify
 from masat.optimizers import Iteration, Result, StopReason, optimize
@@ -40,22 +42,31 @@ __all__ = [
     "InformationError",
     "InitializationError",
     "Iteration",
+    "Landmarks",
     "MasatError",
     "MasatWarning",
     "OptimizationError",
     "PoseErrors",
     "PoseGraph",
+    "Priors",
     "Result",
     "StopReason",
     "__version__",
+    "altitudes",
     "certify",
     "covariances",
     "diagnose",
+    "east_north_up",
     "evaluate",
+    "gps",
+    "headings",
     "initialize",
+    "landmark_covariances",
+    "landmarks",
     "merge",
     "optimize",
     "plot",
+    "pose_priors",
     "read",
     "relative_covariances",
     "solve",

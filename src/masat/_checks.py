@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from masat.arrays import AnyArray, Flags, Floats, Ids, Labels
 from masat.errors import GraphError, InformationError
-from masat.information import indefinite
+from masat.information import not_semidefinite
+
+if TYPE_CHECKING:
+    from masat.measurements import Landmarks, Priors
 
 # Quaternions in files are off unit length by the rounding of their decimals, which is far less.
 _MAX_LENGTH_ERROR = 1e-2
@@ -150,8 +154,18 @@ def rotations(poses: Floats, what: str, names: Ids, kind: str) -> Floats:
 
 
 def information_matrices(information: ArrayLike | None, pairs: Ids, dof: int) -> Floats:
-    """Return a copy of the information matrices, (m, dof, dof), checked and exactly symmetric."""
-    m = len(pairs)
+    """Return a copy of the edges' information, (m, dof, dof), checked and exactly symmetric."""
+    return semidefinite_matrices(information, len(pairs), dof, lambda k: edge_name(pairs, k))
+
+
+def semidefinite_matrices(
+    information: ArrayLike | None,
+    m: int,
+    dof: int,
+    name: Callable[[int], str],
+    plural: str = "edges",
+) -> Floats:
+    """Return a copy of matrices, (m, dof, dof), checked, not zero and exactly symmetric."""
     if information is None:
         return np.ascontiguousarray(np.broadcast_to(np.eye(dof), (m, dof, dof)))
     given = numbers("information", information)
@@ -163,7 +177,7 @@ def information_matrices(information: ArrayLike | None, pairs: Ids, dof: int) ->
     flat = matrices.reshape(m, dof * dof)
     if not np.isfinite(flat).all():
         k = int(np.flatnonzero(~np.isfinite(flat).all(axis=1))[0])
-        raise GraphError(f"the information of {edge_name(pairs, k)} is not finite", edge=k)
+        raise GraphError(f"the information of {name(k)} is not finite", edge=k)
     flipped = matrices.transpose(0, 2, 1)
     if not np.array_equal(matrices, flipped):
         scale = np.abs(flat).max(axis=1)
@@ -173,23 +187,64 @@ def information_matrices(information: ArrayLike | None, pairs: Ids, dof: int) ->
         if skewed.any():
             k = int(np.flatnonzero(skewed)[0])
             raise InformationError(
-                f"the information of {np.count_nonzero(skewed)} of {m} edges is not symmetric, "
-                f"first of {edge_name(pairs, k)}",
+                f"the information of {np.count_nonzero(skewed)} of {m} {plural} is not symmetric, "
+                f"first of {name(k)}",
                 edge=k,
                 count=int(np.count_nonzero(skewed)),
             )
         matrices = 0.5 * matrices + 0.5 * flipped
-    bad = indefinite(matrices)
+    bad = not_semidefinite(matrices)
     if len(bad):
         k = int(bad[0])
         raise InformationError(
-            f"the information matrices of {len(bad)} of {m} edges are not positive definite, "
-            f"first that of {edge_name(pairs, k)}, smallest eigenvalue "
+            f"the information matrices of {len(bad)} of {m} {plural} are zero or not "
+            f"positive semidefinite, first that of {name(k)}, smallest eigenvalue "
             f"{np.linalg.eigvalsh(matrices[k])[0]:.6g}",
             edge=k,
             count=len(bad),
         )
     return matrices
+
+
+def finite(values: Floats, what: str, names: Ids) -> Floats:
+    """Return the rows; refuse numbers that are not finite."""
+    for row in np.flatnonzero(~np.isfinite(values).all(axis=1))[:1]:
+        raise GraphError(f"the {what} {names[row]} is not finite", node=int(row))
+    return values
+
+
+def known_priors(priors: Priors, dimension: int, nodes: Ids, points: Ids) -> None:
+    """Refuse priors of another dimension, on unknown nodes, or on the rotation of a point."""
+    if priors.dimension != dimension:
+        raise GraphError(f"the priors are in {priors.dimension}D but the graph is in {dimension}D")
+    on_pose = among(nodes, priors.ids)
+    on_point = among(points, priors.ids) if len(points) else np.zeros_like(on_pose)
+    for node in priors.ids[~(on_pose | on_point)][:1]:
+        raise GraphError(f"a prior names node {node}, which is not in the graph")
+    turned = priors.information[:, dimension:].any(axis=(1, 2))
+    if priors.offsets is not None:
+        turned |= (priors.offsets[:, :dimension] != 0).any(axis=1)
+    for node in priors.ids[on_point & turned][:1]:
+        raise GraphError(
+            f"the prior of landmark {node} measures a rotation or has an offset: a point has a "
+            "position alone"
+        )
+
+
+def known_landmarks(landmarks: Landmarks, dimension: int, nodes: Ids) -> None:
+    """Refuse landmarks of another dimension, with the id of a pose, or seen by unknown poses."""
+    if landmarks.dimension != dimension:
+        raise GraphError(
+            f"the landmarks are in {landmarks.dimension}D but the graph is in {dimension}D"
+        )
+    for node in landmarks.ids[among(nodes, landmarks.ids)][:1]:
+        raise GraphError(f"the id {node} is that of a pose and of a landmark: choose another")
+    pairs = landmarks.observations
+    for k in np.flatnonzero(~among(nodes, pairs[:, 0]))[:1]:
+        raise GraphError(
+            f"observation {k} ({pairs[k, 0]} -> {pairs[k, 1]}) names pose {pairs[k, 0]}, which is "
+            "not in the graph"
+        )
 
 
 def edge_labels(labels: Any, count: int) -> Labels | None:

@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike
 
 from masat import _core, lie
 from masat.arrays import Floats, Ids
+from masat.assembly import Assembly, assemble, needs_assembly
+from masat.determinacy import refuse_undetermined
 from masat.errors import GraphError, MasatWarning, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimizers.equations import normal_equations, why_singular
@@ -63,6 +65,39 @@ def covariances(graph: PoseGraph, ids: ArrayLike | None = None) -> Floats:
         raise GraphError(f"ids must have shape (k,), got {wanted.shape}")
     indices = graph.index(wanted)
     return _blocks(graph, indices, indices, warn=True)
+
+
+def landmark_covariances(graph: PoseGraph, ids: ArrayLike | None = None) -> Floats:
+    """Return the marginal covariances of landmarks, given all measurements.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        A graph with poses and positions of its landmarks, as in `Result.graph`.
+    ids : array_like of int, (k,), optional
+        Ids of landmarks. Default: all, in the order of `graph.point_ids`.
+
+    Returns
+    -------
+    ndarray, (k, 2, 2) or (k, 3, 3)
+        In square meters, along the axes of the world.
+
+    Raises
+    ------
+    GraphError
+        If an id is that of no landmark.
+    OptimizationError
+        As `covariances`.
+    """
+    wanted = graph.point_ids if ids is None else np.asarray(ids)
+    if wanted.ndim != 1:
+        raise GraphError(f"ids must have shape (k,), got {wanted.shape}")
+    for node in wanted[~np.isin(wanted, graph.point_ids)][:1]:
+        raise GraphError(f"the graph has no landmark {node}")
+    assembly = assemble(graph)
+    indices = assembly.graph.index(wanted)
+    d = graph.dimension
+    return _blocks_of_assembly(assembly, indices, indices, warn=True)[:, :d, :d]
 
 
 def relative_covariances(
@@ -134,6 +169,10 @@ def _blocks(
     """Return blocks of the joint covariance, (k, d, d), by indices of nodes in `graph.ids`."""
     if graph.poses is None:
         raise OptimizationError("the graph has no poses: give it some with masat.initialize")
+    if needs_assembly(graph):
+        assembly = assemble(graph)
+        at = assembly.poses_at
+        return _blocks_of_assembly(assembly, at[rows], at[columns], warn)
     equations = equations or normal_equations(graph)
     if not np.isfinite(equations.linearize(graph.poses)):
         raise OptimizationError("chi2 of the poses is not finite: they are too far apart")
@@ -149,6 +188,14 @@ def _blocks(
     blocks = np.zeros((len(rows), graph.dof, graph.dof))
     blocks[inside] = equations.inverse(index[rows[inside]], index[columns[inside]])
     return blocks
+
+
+def _blocks_of_assembly(assembly: Assembly, rows: Ids, columns: Ids, warn: bool) -> Floats:
+    """Return blocks of the joint covariance of poses and landmarks, by indices of all nodes."""
+    if assembly.graph.poses is None:
+        raise OptimizationError("the landmarks have no positions: solve the graph first")
+    refuse_undetermined(assembly, "there are no covariances")
+    return _blocks(assembly.graph, rows, columns, warn)
 
 
 def _warn_if_doubtful(pivot_ratio: float) -> None:

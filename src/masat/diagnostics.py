@@ -8,6 +8,7 @@ import numpy as np
 
 from masat.arrays import Flags, Floats
 from masat.graph import PoseGraph
+from masat.information import degrees_of_freedom as _degrees_of_freedom
 from masat.issues import duplicate_edges, find_issues, repeated_pairs
 from masat.residuals import chi2_per_edge
 
@@ -114,7 +115,7 @@ def diagnose(graph: PoseGraph) -> Diagnosis:
     degree = np.bincount(graph.edge_indices.ravel(), minlength=n)
     eigenvalues = np.linalg.eigvalsh(graph.information).astype(np.float64)
     chi2 = None if graph.poses is None else chi2_per_edge(graph)
-    degrees_of_freedom = graph.dof * (m - (n - len(graph.gauge)))
+    degrees_of_freedom = _degrees_of_freedom(graph)
     diagnosis = Diagnosis(
         dimension=graph.dimension,
         nodes=n,

@@ -14,6 +14,7 @@ from masat import _checks as checks
 from masat import _core, lie
 from masat.arrays import Flags, Floats, Ids, Indices, Labels, Stamps
 from masat.errors import GraphError
+from masat.measurements import joined
 from masat.stamps import joined_stamps, node_stamps
 from masat.structure import Structure
 
@@ -46,6 +47,8 @@ def with_edges(
         )
     new_ids, new_poses = _new_nodes(graph, pairs, ids, poses)
     new_stamps = _new_stamps(graph, new_ids, stamps)
+    for node in new_ids[np.isin(new_ids, graph.point_ids)][:1]:
+        raise GraphError(f"the id {node} is that of a landmark: choose another for the new node")
     nodes = np.concatenate([graph.ids, new_ids])
     order = np.argsort(nodes, kind="stable")
     nodes = nodes[order]
@@ -141,7 +144,19 @@ def relabel(graph: PoseGraph, to: Renaming) -> PoseGraph:
         structure.share_connectivity(old)
     poses = graph.poses if in_order or graph.poses is None else graph.poses[order]
     stamps = graph.stamps if in_order or graph.stamps is None else graph.stamps[order]
-    return _restructured(graph, structure, poses=poses, stamps=stamps)
+    out = replace(
+        _restructured(graph, structure, poses=poses, stamps=stamps), priors=None, landmarks=None
+    )
+    if graph.landmarks is not None:
+        seen = graph.landmarks
+        pairs = seen.observations.copy()
+        pairs[:, 0] = renamed[graph.index(pairs[:, 0])]
+        out = out.with_landmarks(replace(seen, observations=pairs))
+    if graph.priors is not None:
+        ids, on_pose = graph.priors.ids.copy(), np.isin(graph.priors.ids, graph.ids)
+        ids[on_pose] = renamed[graph.index(ids[on_pose])]
+        out = out.with_priors(graph.priors.renamed(ids))
+    return out
 
 
 def joined_labels(parts: list[tuple[Labels | None, int]]) -> Labels | None:
@@ -233,12 +248,27 @@ def _with_rows(graph: PoseGraph, edges: Flags, nodes: Flags | None = None) -> Po
     return _restructured(
         graph,
         structure,
+        **_measurements_of(graph, nodes),
         poses=graph.poses if nodes is None or graph.poses is None else graph.poses[nodes],
         measurements=graph.measurements[edges],
         information=graph.information[edges],
         labels=None if graph.labels is None else graph.labels[edges],
         stamps=graph.stamps if nodes is None or graph.stamps is None else graph.stamps[nodes],
     )
+
+
+def _measurements_of(graph: PoseGraph, nodes: Flags | None) -> dict[str, Any]:
+    """Return the priors and the observations of the nodes that remain, given by a mask."""
+    if nodes is None:
+        return {}
+    gone = graph.ids[~nodes]
+    out: dict[str, Any] = {}
+    if graph.priors is not None:
+        out["priors"] = joined([graph.priors.rows(~np.isin(graph.priors.ids, gone))])
+    if graph.landmarks is not None:
+        seen = graph.landmarks
+        out["landmarks"] = seen.observed(~np.isin(seen.observations[:, 0], gone))
+    return out
 
 
 def _restructured(graph: PoseGraph, structure: Structure, **arrays: Any) -> PoseGraph:

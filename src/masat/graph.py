@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +15,9 @@ from masat import _core, editing, lie, residuals
 from masat import stamps as times
 from masat.arrays import Floats, Ids, Indices, Labels, Stamps, locked
 from masat.errors import GraphError
-from masat.structure import Structure
+from masat.information import partial
+from masat.measurements import Landmarks, Priors, joined
+from masat.structure import Structure, joint_structure
 
 # The fields that the structure depends on, and also holds.
 _OF_STRUCTURE = ("ids", "edges", "fixed")
@@ -45,7 +47,7 @@ class PoseGraph:
         Pose of `to` in the frame of `from`, as measured.
     information : ndarray, (m, 3, 3) or (m, 6, 6)
         Inverse covariance of each measurement, in the order of g2o: x, y, theta, or translation
-        and vector part of the quaternion.
+        and vector part of the quaternion. It may be semidefinite: what was not measured has none.
     fixed : ndarray of int64
         Ids of the nodes that keep their poses, ascending.
     notes : tuple of str
@@ -54,6 +56,10 @@ class PoseGraph:
         A label for each edge.
     stamps : ndarray of float64 or int64, (n,), or None
         Time of each node: seconds if float64, nanoseconds if int64.
+    priors : Priors or None
+        Measurements of nodes in the world's frame, such as satellite fixes.
+    landmarks : Landmarks or None
+        Points, and what poses saw of them; `points` and `point_ids` are short for its arrays.
     structure : Structure
         The connectivity, the gauge and the elimination order, which depend only on ids, edges and
         fixed nodes. Graphs that differ in nothing else share one structure.
@@ -68,6 +74,8 @@ class PoseGraph:
     notes: tuple[str, ...] = field(default=())
     labels: Labels | None = field(default=None)
     stamps: Stamps | None = field(default=None)
+    priors: Priors | None = field(default=None)
+    landmarks: Landmarks | None = field(default=None)
     structure: Structure = field(default=_NOT_MADE, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -108,6 +116,8 @@ class PoseGraph:
         notes: Iterable[str] = (),
         labels: ArrayLike | None = None,
         stamps: ArrayLike | None = None,
+        priors: Priors | Iterable[Priors] | None = None,
+        landmarks: Landmarks | None = None,
     ) -> PoseGraph:
         """Check the arrays and make a graph of copies of them.
 
@@ -119,8 +129,8 @@ class PoseGraph:
             Pose of `to` in the frame of `from`. Quaternions off unit length by rounding are
             normalized.
         information : array_like, (m, d, d) or (d, d), optional
-            One symmetric positive-definite matrix an edge, or one for all; d is 3 or 6. Default:
-            the identity.
+            One symmetric positive-semidefinite matrix an edge, or one for all; d is 3 or 6. A
+            direction that was not measured has none. Default: the identity.
         ids : array_like of int, (n,), optional
             Node ids in any order, that of `poses`. Default: those that the edges name, ascending.
         poses : array_like, (n, 3) or (n, 7), optional
@@ -135,6 +145,11 @@ class PoseGraph:
         stamps : array_like, (n,), optional
             Times of the nodes in the order of `ids`: floating-point numbers are seconds, integers
             are nanoseconds.
+        priors : Priors or iterable of Priors, optional
+            Measurements in the world's frame: `masat.gps`, `masat.headings`, `masat.altitudes`,
+            `masat.pose_priors`. A node that only priors name is added to the graph.
+        landmarks : Landmarks, optional
+            Points and their observations: `masat.landmarks`.
 
         Returns
         -------
@@ -147,20 +162,21 @@ class PoseGraph:
             not integers or not unique, if an edge joins a node to itself, if a quaternion is far
             from unit length, or if shapes do not fit. It names the first node or edge at fault.
         InformationError
-            If information matrices are not symmetric positive definite. It counts them.
+            If information matrices are zero or not symmetric positive semidefinite. It counts them.
         """
         pairs = checks.pairs_of_ids(edges)
+        all_priors = joined(priors)
         z = checks.table("measurements", measurements)
         given = None if poses is None else checks.table("poses", poses)
         if z.shape[1] == 0:
-            z = z.reshape(0, 3 if given is None else given.shape[1])
+            z = z.reshape(0, _pose_size(given, all_priors, landmarks))
         if z.shape[1] not in (3, 7):
             raise GraphError(f"measurements must have shape (m, 3) or (m, 7), got {z.shape}")
         if len(pairs) != len(z):
             raise GraphError(f"{len(pairs)} edges but {len(z)} measurements")
         dof = lie.DOF[2 if z.shape[1] == 3 else 3]
 
-        nodes = checks.distinct(pairs) if ids is None else checks.integers("ids", ids)
+        nodes = _named(pairs, all_priors, landmarks) if ids is None else checks.integers("ids", ids)
         if nodes.ndim != 1:
             raise GraphError(f"ids must have shape (n,), got {nodes.shape}")
         if len(nodes) == 0:
@@ -191,6 +207,8 @@ class PoseGraph:
             labels=checks.edge_labels(labels, len(pairs)),
             stamps=stamped,
         )
+        if all_priors is not None or landmarks is not None:
+            graph = graph.with_landmarks(landmarks).with_priors(all_priors)
         graph.structure.check_fixed(given)
         return graph
 
@@ -209,10 +227,45 @@ class PoseGraph:
         """The cost e' W e of each edge at the graph's poses, (m,): residual e, information W."""
         return locked(residuals.chi2_per_edge(self))
 
+    @cached_property
+    def chi2_per_prior(self) -> Floats:
+        """The cost e' W e of each prior at the graph's poses and points, (p,)."""
+        return locked(residuals.chi2_per_prior(self))
+
+    @cached_property
+    def chi2_per_observation(self) -> Floats:
+        """The cost e' W e of each observation of a landmark, (l,)."""
+        return locked(residuals.chi2_per_observation(self))
+
     @property
     def chi2(self) -> float:
-        """The sum of `chi2_per_edge`: the cost that `masat.optimize` minimizes."""
-        return float(self.chi2_per_edge.sum())
+        """The cost that `masat.optimize` minimizes: that of all edges, priors and observations."""
+        total = float(self.chi2_per_edge.sum())
+        if self.priors is not None:
+            total += float(self.chi2_per_prior.sum())
+        if self.landmarks is not None:
+            total += float(self.chi2_per_observation.sum())
+        return total
+
+    @property
+    def points(self) -> Floats | None:
+        """Positions of the landmarks, (k, 2) or (k, 3); None without any, or before a solve."""
+        return None if self.landmarks is None else self.landmarks.positions
+
+    @property
+    def point_ids(self) -> Ids:
+        """Ids of the landmarks, (k,), ascending."""
+        return np.empty(0, np.int64) if self.landmarks is None else self.landmarks.ids
+
+    @property
+    def sensor_offsets(self) -> Floats | None:
+        """Where edges measure something else than the pose of the node that they lead to."""
+        return None
+
+    @cached_property
+    def has_partial_edges(self) -> bool:
+        """Whether the information of an edge leaves a direction undetermined."""
+        return len(partial(self.information)) > 0
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -223,12 +276,14 @@ class PoseGraph:
         return graph_html(self)
 
     def __repr__(self) -> str:
+        more = "" if self.priors is None else f"{len(self.priors)} priors, "
+        more += "" if self.landmarks is None else f"{len(self.landmarks)} landmarks, "
         return (
-            f"PoseGraph({self.dimension}D, {len(self.ids)} nodes, {len(self.edges)} edges, "
+            f"PoseGraph({self.dimension}D, {len(self.ids)} nodes, {len(self.edges)} edges, {more}"
             f"{'without' if self.poses is None else 'with'} poses)"
         )
 
-    def with_poses(self, poses: ArrayLike, *, notes: Iterable[str] = ()) -> PoseGraph:
+    def with_poses(self, poses: ArrayLike, *, notes: Iterable[str] = ()) -> Self:
         """Return the graph with other poses, (n, 3) or (n, 7) in the order of `ids`.
 
         `notes` are added to those of the graph.
@@ -281,6 +336,41 @@ class PoseGraph:
             further apart than `max_gap`, or if they are in components with frames of their own.
         """
         return times.pose_at(self, t, nodes, max_gap)
+
+    def with_priors(self, priors: Priors | Iterable[Priors] | None) -> PoseGraph:
+        """Return the graph with these priors in place of those it has; None removes them.
+
+        To add some: ``graph.with_priors([graph.priors, more])``.
+
+        Raises
+        ------
+        GraphError
+            If a prior names an unknown node, or is in 2D where the graph is in 3D or conversely; or
+            if one on a landmark measures more than its position.
+        """
+        new = joined(priors)
+        if new is not None:
+            checks.known_priors(new, self.dimension, self.ids, self.point_ids)
+        return replace(self, priors=new)
+
+    def with_landmarks(self, landmarks: Landmarks | None) -> PoseGraph:
+        """Return the graph with these landmarks in place of those it has; None removes them.
+
+        Raises
+        ------
+        GraphError
+            If an observation names an unknown pose, if a landmark has the id of a pose, or if the
+            landmarks are in 2D where the graph is in 3D or conversely.
+        """
+        if landmarks is not None:
+            checks.known_landmarks(landmarks, self.dimension, self.ids)
+        return replace(self, landmarks=landmarks)
+
+    def with_points(self, positions: ArrayLike) -> PoseGraph:
+        """Return the graph with its landmarks at other positions, in the order of `point_ids`."""
+        if self.landmarks is None:
+            raise GraphError("the graph has no landmarks")
+        return replace(self, landmarks=self.landmarks.with_positions(positions))
 
     def with_root(self, root: ArrayLike) -> PoseGraph:
         """Return the graph with `root` as the gauge-fixed node of its component.
@@ -408,21 +498,67 @@ class PoseGraph:
         """The adjacency, as flat arrays in the core."""
         return self.structure.topology
 
-    @property
-    def components(self) -> Indices:
-        """Connected component of each node, (n,), numbered in the order of their smallest ids."""
-        return self.structure.components
+    @cached_property
+    def joint_structure(self) -> Structure:
+        """The structure of poses, landmarks and the world, which is the last node."""
+        none = np.empty(0, np.int64)
+        return joint_structure(
+            self.structure,
+            self.point_ids,
+            none.reshape(0, 2) if self.landmarks is None else self.landmarks.observations,
+            none if self.priors is None else self.priors.ids,
+        )
 
-    @property
+    @cached_property
+    def components(self) -> Indices:
+        """Connected component of each node, (n,), numbered in the order of their smallest ids.
+
+        Observations of one landmark connect poses, and so do priors: all parts with priors lie in
+        the frame of the world.
+        """
+        if self.priors is None and self.landmarks is None:
+            return self.structure.components
+        joint = self.joint_structure
+        labels = joint.components[joint.index(self.ids)]
+        return locked(np.unique(labels, return_inverse=True)[1].astype(np.int32))
+
+    @cached_property
     def gauge(self) -> Ids:
         """Ids of the nodes that are not optimized, ascending.
 
-        They are the fixed nodes and, in each component without any, one gauge-fixed node: the
-        root chosen by `with_root`, or else the smallest id.
+        They are the fixed nodes and, in each component without any and without priors, one
+        gauge-fixed node: the root chosen by `with_root`, or else the smallest id.
         """
-        return self.structure.gauge
+        if self.priors is None and self.landmarks is None:
+            return self.structure.gauge
+        gauge = self.joint_structure.gauge
+        return locked(gauge[np.isin(gauge, self.ids)])
 
     @property
     def elimination(self) -> _core.Elimination:
         """The order in which the optimized nodes are eliminated from the linear systems."""
         return self.structure.elimination
+
+
+def _pose_size(poses: Floats | None, priors: Priors | None, landmarks: Landmarks | None) -> int:
+    """Return how many numbers a pose has where no edge tells it."""
+    if poses is not None:
+        return int(poses.shape[1])
+    if priors is not None:
+        return int(priors.measurements.shape[1])
+    return 3 if landmarks is None else lie.POSE_SIZE[landmarks.dimension]
+
+
+def _named(pairs: Ids, priors: Priors | None, landmarks: Landmarks | None) -> Ids:
+    """Return the ids of the poses that edges, priors and observations name, ascending."""
+    if priors is None and landmarks is None:
+        return checks.distinct(pairs)
+    named = [pairs.ravel()]
+    if priors is not None:
+        on_pose = np.ones(len(priors), np.bool_)
+        if landmarks is not None:
+            on_pose = ~np.isin(priors.ids, landmarks.ids)
+        named.append(priors.ids[on_pose])
+    if landmarks is not None:
+        named.append(landmarks.observations[:, 0])
+    return checks.distinct(np.concatenate(named))

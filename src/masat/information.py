@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
 from masat import _core
 from masat.arrays import Floats, Ids
 
+if TYPE_CHECKING:
+    from masat.graph import PoseGraph
+
 Repair: TypeAlias = Literal["error", "nearest", "identity"]
 """What to do with indefinite information: refuse it, or take the nearest or the identity."""
 
+# How far below zero rounding may take an eigenvalue that is zero, the diagonal being 1.
+_ROUNDED_ZERO = 1e-14
 # Smallest eigenvalue after a repair, as a fraction of the largest: no direction is lost, and the
 # normal equations keep half of the digits of a double.
 _MIN_EIGENVALUE_RATIO = 1e-9
@@ -20,6 +25,27 @@ _MIN_EIGENVALUE_RATIO = 1e-9
 def indefinite(information: Floats) -> Ids:
     """Return the indices of the matrices, (m, d, d), that are not positive definite."""
     return _core.indefinite(np.ascontiguousarray(information))
+
+
+def not_semidefinite(information: Floats) -> Ids:
+    """Return the indices of the matrices, (m, d, d), that are zero or not positive semidefinite."""
+    bad = indefinite(information)
+    if len(bad) == 0:
+        return bad
+    rows = information[bad]
+    diagonal = np.einsum("kii->ki", rows)
+    fine = (diagonal >= 0).all(axis=1) & diagonal.any(axis=1)
+    # A direction without information has no part in the others either.
+    fine &= ~((diagonal == 0)[:, :, None] & (rows != 0)).any(axis=(1, 2))
+    # By the diagonal, so that neither units nor numbers near the largest double matter.
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    with np.errstate(over="ignore"):
+        scaled = rows / scale[:, :, None] / scale[:, None]
+    # Of a semidefinite matrix no entry is beyond 1 now.
+    fine &= (np.abs(scaled) <= 1 + _ROUNDED_ZERO).all(axis=(1, 2))
+    fine[fine] = np.linalg.eigvalsh(scaled[fine])[:, 0] >= -_ROUNDED_ZERO
+    wrong: Ids = bad[~fine]
+    return wrong
 
 
 def nearest_positive_definite(information: Floats) -> Floats:
@@ -38,9 +64,9 @@ def nearest_positive_definite(information: Floats) -> Floats:
     Returns
     -------
     ndarray, (m, d, d)
-        The repaired matrices; those that were positive definite are unchanged.
+        The repaired matrices; those that were positive semidefinite are unchanged.
     """
-    bad = indefinite(information)
+    bad = not_semidefinite(information)
     repaired = information.copy()
     # Numbers near the largest double may overflow; the graph then refuses the result.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -49,6 +75,27 @@ def nearest_positive_definite(information: Floats) -> Floats:
         product = (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
     repaired[bad] = 0.5 * product + 0.5 * product.transpose(0, 2, 1)
     return repaired
+
+
+def degrees_of_freedom(graph: PoseGraph) -> int:
+    """Return the number of measured values minus the number of unknown ones."""
+    values = graph.dof * len(graph.edges) - _unmeasured(graph.information)
+    if graph.priors is not None:
+        values += graph.dof * len(graph.priors) - _unmeasured(graph.priors.information)
+    if graph.landmarks is not None:
+        seen = graph.landmarks
+        values += graph.dimension * (len(seen.observations) - len(seen))
+        values -= _unmeasured(seen.information)
+    return values - graph.dof * (len(graph.ids) - len(graph.gauge))
+
+
+def _unmeasured(information: Floats) -> int:
+    """Return in how many directions matrices, (m, d, d), have no information."""
+    open_ = partial(information)
+    if len(open_) == 0:
+        return 0
+    values = np.linalg.eigvalsh(information[open_])
+    return int(np.count_nonzero(values <= _ROUNDED_ZERO * values[:, -1:]))
 
 
 class IsotropicWeights(NamedTuple):
@@ -82,13 +129,24 @@ def rotation_weights(information: Floats) -> Floats:
     return 3 / _trace_of_inverse(rotation) / 8
 
 
+def partial(information: Floats) -> Ids:
+    """Return the indices of the matrices, (m, d, d), that have no information in some direction."""
+    return indefinite(information)
+
+
 def _trace_of_inverse(a: Floats) -> Floats:
-    """Return the traces of the inverses of positive definite matrices, (m, 2, 2) or (m, 3, 3).
+    """Return the traces of the inverses of matrices, (m, 2, 2) or (m, 3, 3).
 
     By the Cholesky factor L: the sum of the squares of its inverse. Positive, however badly
-    conditioned.
+    conditioned; infinite where a semidefinite matrix leaves a direction without information.
     """
     d = a.shape[1]
+    singular = indefinite(a)
+    if len(singular):
+        out = np.full(len(a), np.inf)
+        rest = np.delete(np.arange(len(a)), singular)
+        out[rest] = _trace_of_inverse(np.ascontiguousarray(a[rest]))
+        return out
     scale = np.einsum("kii->k", a)
     a = a / scale[:, None, None]
 

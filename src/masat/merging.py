@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +13,7 @@ from masat.arrays import Ids
 from masat.editing import joined_labels, shifted
 from masat.errors import GraphError
 from masat.graph import PoseGraph
+from masat.measurements import landmarks
 from masat.stamps import joined_stamps
 from masat.structure import Structure
 
@@ -104,6 +106,7 @@ def merge(
         stamps=None if stamps is None else stamps[order],
         structure=structure,
     )
+    merged = _with_measurements(merged, moved)
     if between is None:
         return merged
     if not isinstance(between, tuple | list) or len(between) not in (2, 3):
@@ -113,12 +116,48 @@ def merge(
     return merged.with_edges(*between, ids=[])
 
 
+def _with_measurements(merged: PoseGraph, moved: list[tuple[PoseGraph, int]]) -> PoseGraph:
+    """Return the merged graph with the priors and the landmarks of its parts, ids shifted."""
+    priors = [
+        part.priors.renamed(shifted(part.priors.ids, shift))
+        for part, shift in moved
+        if part.priors is not None
+    ]
+    seen = [
+        replace(
+            part.landmarks,
+            ids=shifted(part.landmarks.ids, shift),
+            observations=shifted(part.landmarks.observations, shift),
+        )
+        for part, shift in moved
+        if part.landmarks is not None
+    ]
+    if seen:
+        known = [part.positions for part in seen if part.positions is not None]
+        all_landmarks = landmarks(
+            np.concatenate([part.observations for part in seen]),
+            np.concatenate([part.measurements for part in seen]),
+            np.concatenate([part.information for part in seen]),
+            ids=np.concatenate([part.ids for part in seen]),
+            positions=np.concatenate(known) if len(known) == len(seen) else None,
+        )
+        merged = merged.with_landmarks(all_landmarks)
+    return merged.with_priors(priors) if priors else merged
+
+
 def _offsets(parts: list[PoseGraph]) -> list[int]:
-    out, last = [0], int(parts[0].ids[-1])
+    out, last = [0], _ends(parts[0])[1]
     for part in parts[1:]:
-        out.append(last + 1 - int(part.ids[0]))
-        last = int(part.ids[-1]) + out[-1]
+        first, end = _ends(part)
+        out.append(last + 1 - first)
+        last = end + out[-1]
     return out
+
+
+def _ends(part: PoseGraph) -> tuple[int, int]:
+    """Return the smallest and the largest id of a graph, its landmarks included."""
+    every = [part.ids, part.point_ids] if len(part.point_ids) else [part.ids]
+    return min(int(ids[0]) for ids in every), max(int(ids[-1]) for ids in every)
 
 
 def _given_offsets(parts: list[PoseGraph], offsets: Sequence[int]) -> list[int]:

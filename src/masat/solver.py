@@ -6,13 +6,15 @@ import warnings
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
+from typing import Any
 
 from masat.arrays import Flags
+from masat.assembly import assemble, checked_support, needs_assembly
 from masat.errors import MasatWarning, OptimizationError
 from masat.graph import PoseGraph
-from masat.initializers import SEARCHES, guess_of
+from masat.initializers import SEARCHES, guess_of, guess_of_assembly
 from masat.optimality.certificate import certify as certified
-from masat.optimizers import Result, StopReason, check_method, optimize
+from masat.optimizers import Result, StopReason, check_method, optimize, optimize_assembly
 from masat.optimizers.equations import normal_equations
 from masat.optimizers.losses import EdgeLoss, Loss
 from masat.optimizers.termination import Report
@@ -127,34 +129,46 @@ def solve(
     if robust:
         if loss is not None:
             raise OptimizationError("robust and loss exclude each other: choose one of them")
+        # Closures are judged by the edges; priors and landmarks join afterwards.
+        relative = rooted.with_priors(None).with_landmarks(None)
+        checked_support(relative, "robust")
         start_of = partial(guess_of, method=init, seed=seed, progress=progress)
-        decision = decide(rooted, trusted, start=start_of, progress=progress)
+        decision = decide(relative, trusted, start=start_of, progress=progress)
         rooted, trusted = rooted.without_edges(~decision.kept), None
-    equations = normal_equations(rooted, threads)
-    if decision is not None and decision.from_start:
+    assembly = None
+    guess: PoseGraph
+    if needs_assembly(rooted):
+        assembly = guess_of_assembly(assemble(rooted), init, seed=seed, progress=progress)
+        equations = normal_equations(assembly.graph, threads)
+        guess = assembly.graph
+    elif decision is not None and decision.from_start:
+        equations = normal_equations(rooted, threads)
         guess = rooted.with_poses(decision.poses)
     else:
+        equations = normal_equations(rooted, threads)
         guess = guess_of(rooted, init, seed=seed, progress=progress, equations=equations)
         if decision is not None and equations.chi2(decision.poses) < guess.chi2:
             guess = guess.with_poses(decision.poses)
     init_seconds = perf_counter() - start
     cut_short = progress.over
-    is_plain = loss is None and not robust
+    is_plain = loss is None and not robust and assembly is None
     limit = max_iterations
     if is_plain and init == "auto" and cannot_be_right(guess, guess.chi2):
         limit = min(max_iterations, _affordable_iterations(guess))
-    result = optimize(
-        guess,
-        optimizer,
-        loss=loss,
-        scale=scale,
-        trusted=trusted,
-        max_iterations=limit,
-        relative_tolerance=relative_tolerance,
-        report=report,
-        progress=progress,
-        equations=equations,
-    )
+    options: dict[str, Any] = {
+        "loss": loss,
+        "scale": scale,
+        "trusted": trusted,
+        "max_iterations": limit,
+        "relative_tolerance": relative_tolerance,
+        "report": report,
+        "progress": progress,
+        "equations": equations,
+    }
+    if assembly is None:
+        result = optimize(guess, optimizer, **options)
+    else:
+        result = optimize_assembly(assembly, optimizer, **options)
     if cut_short:
         message = f"{StopReason.INTERRUPTED.value}: the map is the best so far"
         result = replace(result, reason=StopReason.INTERRUPTED, message=message)

@@ -156,6 +156,46 @@ class Structure:
         return out
 
 
+def joint_structure(poses: Structure, points: Ids, observations: Ids, priors: Ids) -> Structure:
+    """Return the structure of poses, landmarks and the world, which is the last node.
+
+    The world is fixed. A part without a prior or a fixed node has a pose as its gauge-fixed node.
+
+    Parameters
+    ----------
+    poses : Structure
+        That of the poses and their edges.
+    points : ndarray of int64, (k,)
+        Ids of the landmarks.
+    observations : ndarray of int64, (l, 2)
+        Ids (pose, landmark).
+    priors : ndarray of int64, (p,)
+        Ids of the nodes that priors tie to the world.
+    """
+    nodes = np.sort(np.concatenate([poses.ids, points]))
+    world = nodes[-1] + 1
+    if nodes[-1] == np.iinfo(np.int64).max:
+        raise GraphError(f"the id {nodes[-1]} is the largest there is: give the nodes smaller ids")
+    joint = Structure(
+        np.append(nodes, world),
+        np.concatenate([poses.edges, observations, np.stack([world + 0 * priors, priors], 1)]),
+        np.append(poses.fixed, world),
+        poses.dof,
+        poses.roots,
+    )
+    if len(points) == 0:
+        return joint
+    labels = joint.components[joint.index(poses.ids)]
+    own, first = np.unique(labels, return_index=True)
+    chosen = joint.components[joint.index(np.concatenate([poses.roots, joint.fixed]))]
+    roots = poses.ids[first[~np.isin(own, chosen)]]
+    with_roots = Structure(
+        joint.ids, joint.edges, joint.fixed, joint.dof, np.append(poses.roots, roots)
+    )
+    with_roots.share_connectivity(joint)
+    return with_roots
+
+
 def eliminate(topology: _core.Topology, in_gauge: Flags, block_size: int) -> _core.Elimination:
     """Return the elimination order with the fewest operations a factorization.
 

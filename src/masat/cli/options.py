@@ -38,8 +38,8 @@ def graph_file(command: F) -> F:
             type=click.Choice(["error", "nearest", "identity"]),
             default="error",
             show_default=True,
-            help="If information matrices are not positive definite: refuse, take the nearest that "
-            "are, or give every edge the identity.",
+            help="If information matrices are not positive semidefinite: refuse, take the nearest "
+            "that are definite, or give every edge the identity.",
         ),
         click.option(
             "--format",

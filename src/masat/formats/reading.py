@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Mapping
 from dataclasses import fields
 from itertools import islice
 from pathlib import Path
@@ -15,6 +16,7 @@ from masat import _core
 from masat.arrays import Floats, Stamps
 from masat.errors import FormatError, GraphError, InformationError, MasatWarning
 from masat.formats.labels import read_labels
+from masat.formats.measured import read_measurements
 from masat.formats.registry import FORMATS, printable, recognize
 from masat.formats.stamps import read_seconds, read_stamps
 from masat.formats.table import Format
@@ -42,9 +44,9 @@ def read(
         One of `masat.formats.FORMATS`, for a file whose tags fit several formats (`EDGE2` is both
         iSAM's and TORO's) or mislead.
     indefinite : {"error", "nearest", "identity"}
-        What to do if information matrices are not positive definite. "error" refuses the file,
-        "nearest" replaces those matrices by the nearest positive-definite ones, "identity" gives
-        every edge the identity matrix.
+        What to do if information matrices of edges are not positive semidefinite. "error" refuses
+        the file, "nearest" replaces those matrices by the nearest positive-definite ones,
+        "identity" gives every edge the identity matrix.
     max_bytes : int
         Largest size of the text, decompressed; a larger one is refused.
 
@@ -102,7 +104,7 @@ def _parse(
     except _core.ParseError as error:
         line, message = error.args
         raise FormatError(message, path, line) from None
-    return table, parsed, notes + _notes(parsed)
+    return table, parsed, notes + _notes(parsed, table.skipped)
 
 
 def _format(name: str | None, text: bytes, path: Path) -> tuple[Format, list[str]]:
@@ -118,9 +120,16 @@ def _format(name: str | None, text: bytes, path: Path) -> tuple[Format, list[str
     return FORMATS[name], []
 
 
-def _notes(parsed: _core.ParsedGraph) -> list[str]:
-    unknown = parsed["unknown"].items()
+def _notes(parsed: _core.ParsedGraph, skipped: Mapping[str, str]) -> list[str]:
+    meanings = {tag.encode(): meaning for tag, meaning in skipped.items()}
     notes = [
+        f"{_count(count, 'line')} with the tag {printable(tag)} skipped (first: line {line}): "
+        f"{meanings[tag]} are not supported"
+        for tag, (count, line) in parsed["unknown"].items()
+        if tag in meanings
+    ]
+    unknown = {tag: seen for tag, seen in parsed["unknown"].items() if tag not in meanings}.items()
+    notes += [
         f"{_count(count, 'line')} with the unknown tag {printable(tag)} skipped (first: line "
         f"{line})"
         for tag, (count, line) in islice(unknown, _MAX_TAG_NOTES)
@@ -148,8 +157,16 @@ def _graph(
 ) -> PoseGraph:
     ids, edges = parsed["vertex_ids"], parsed["edge_ids"]
     with_vertices = len(ids) > 0
-    if not with_vertices and len(edges) == 0:
+    priors, landmarks = read_measurements(parsed, path)
+    if not with_vertices and len(edges) == 0 and priors is None and landmarks is None:
         raise FormatError("the file holds neither a vertex nor an edge", path)
+    for k in np.flatnonzero(np.isin(parsed["fixed_ids"], parsed["point_ids"]))[:1]:
+        raise FormatError(
+            f"FIX names the landmark {parsed['fixed_ids'][k]}: only poses can be fixed; give it a "
+            "prior of much information instead (EDGE_PRIOR_XY, EDGE_POINTXYZ_PRIOR)",
+            path,
+            int(parsed["fixed_lines"][k]),
+        )
     known = np.isin(parsed["fixed_ids"], ids if with_vertices else edges)
     for k in np.flatnonzero(~known)[:1] if len(known) else ():
         raise FormatError(
@@ -177,6 +194,8 @@ def _graph(
             fixed=parsed["fixed_ids"],
             notes=notes,
             stamps=stamps,
+            priors=priors,
+            landmarks=landmarks,
             **optional,
         )
 
@@ -197,7 +216,7 @@ def _graph(
             else:
                 how = "every edge has the identity instead"
                 repaired = np.broadcast_to(np.eye(information.shape[1]), information.shape)
-            notes.append(f"{error.count} information matrices are not positive definite: {how}")
+            notes.append(f"{error.count} information matrices are not positive semidefinite: {how}")
             return build(repaired)
     except GraphError as error:
         raise FormatError(str(error), path, _line(parsed, error)) from None

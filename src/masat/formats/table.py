@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from masat._core import InformationText, Kind, PoseText, Record
@@ -26,6 +26,8 @@ class Format:
         One line that describes the format.
     records : tuple of Record
         Meaning of each tag. Lines with other tags are counted and skipped.
+    skipped : mapping of str to str
+        Tags whose lines are skipped knowingly, and what they hold.
     columns : tuple of int
         Number of columns of the lines without a tag, if the format has such lines.
     format_graph : callable or None
@@ -43,6 +45,7 @@ class Format:
     format_graph: Callable[[PoseGraph], bytes] | None = None
     suffixes: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
+    skipped: Mapping[str, str] = field(default_factory=dict)
 
     def tags(self) -> set[bytes]:
         """Return the tags as `count_tags` names them."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from typing import Protocol
 
 from masat import _core
+from masat.assembly import Assembly, assemble, needs_assembly
 from masat.errors import InitializationError, MasatWarning
 from masat.graph import PoseGraph
 from masat.initializers.auto import auto
@@ -17,9 +19,11 @@ from masat.initializers.lifted import lifted
 from masat.initializers.masat import masat
 from masat.initializers.most_informed_first import most_informed_first
 from masat.initializers.odometry import odometry
+from masat.initializers.placing import given_assembly, placed_assembly
 from masat.initializers.spanning_tree import spanning_tree
 from masat.initializers.spectral import spectral
 from masat.initializers.toro import toro
+from masat.optimality.best import best_minimum
 from masat.progress import Progress
 
 
@@ -120,6 +124,39 @@ def guess_of(
         raise InitializationError(
             f"unknown initial guess {method!r}; known: {', '.join(INITIALIZERS)}"
         )
+    if needs_assembly(graph):
+        placed = guess_of_assembly(assemble(graph), method, seed=seed, progress=progress)
+        assert placed.graph.poses is not None
+        return replace(placed.disassembled(placed.graph.poses), notes=placed.graph.notes)
     if method in SEARCHES:
         return SEARCHES[method](graph, seed=seed, progress=progress, equations=equations)
     return INITIALIZERS[method](graph)
+
+
+def guess_of_assembly(
+    assembly: Assembly,
+    method: str,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Assembly:
+    """Return an assembly with the poses of an initial guess, complete with what it leaves open.
+
+    Parameters as of `initialize`. The notes of the graph tell what is not determined.
+    """
+    if method not in INITIALIZERS:
+        raise InitializationError(
+            f"unknown initial guess {method!r}; known: {', '.join(INITIALIZERS)}"
+        )
+    if method == "given":
+        placed, notes = given_assembly(assembly)
+    else:
+        first = chordal if method in SEARCHES else INITIALIZERS[method]
+        placed, notes = placed_assembly(assembly, first)
+    graph = placed.graph
+    assert graph.poses is not None
+    poses = graph.poses
+    if method in SEARCHES:
+        found = best_minimum(graph, seed=seed, progress=progress)
+        poses, notes = found.poses, [*notes, *found.notes]
+    return replace(placed, graph=graph.with_poses(poses, notes=notes))

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from masat import _core
 from masat.arrays import Floats
+from masat.assembly import AssembledGraph
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimality.bounds import looks_global
@@ -111,6 +112,11 @@ def best_minimum(
                 found = _lift_all(guess, found, seed, progress, equations)
         except KeyboardInterrupt:
             progress.interrupt()
+            return Minimum(near.poses, False, doubts)
+        except InitializationError:
+            # The chordal problem may leave open what chi2 determines, as roll and pitch by heights.
+            if not isinstance(guess, AssembledGraph):
+                raise
             return Minimum(near.poses, False, doubts)
     except OptimizationError as error:
         raise InitializationError(f"the guess has to be optimized first: {error}") from error

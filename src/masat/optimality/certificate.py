@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 from masat import _core
+from masat.assembly import assemble, needs_assembly
+from masat.determinacy import undetermined, with_undetermined_kept
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimality.bounds import TIGHT, chi2_bound, lifted_bound
@@ -131,6 +133,8 @@ def certify(
     if graph.poses is None:
         raise OptimizationError("the graph has no poses: there is nothing to certify")
     progress = progress or Progress()
+    if needs_assembly(graph):
+        return _certify_assembly(graph, search, seed, threads, progress)
     initial = graph.chi2
     rounding = rounding_level(graph)
     # Where rounding itself makes a chi2 that matters, it excuses nothing.
@@ -150,6 +154,24 @@ def certify(
     except (OptimizationError, InitializationError) as error:
         reason = str(error)
     return Certificate("undecided", f"not decided: {reason}", initial, 0.0, initial, None)
+
+
+def _certify_assembly(
+    graph: PoseGraph, search: bool, seed: int, threads: int | None, progress: Progress
+) -> Certificate:
+    """Certify a graph with priors, landmarks or partial edges."""
+    assembly = assemble(graph)
+    if assembly.graph.poses is None:
+        raise OptimizationError("the landmarks have no positions: there is nothing to certify")
+    if not all(freedom.exact for freedom in undetermined(assembly)):
+        message = "not decided: chi2 hardly depends on directions that nothing determines"
+        return Certificate("undecided", message, graph.chi2, 0.0, graph.chi2, None)
+    complete = with_undetermined_kept(assembly)[0].graph
+    found = certify(complete, search=search, seed=seed, threads=threads, progress=progress)
+    better = None
+    if found.better is not None and found.better.poses is not None:
+        better = assembly.disassembled(found.better.poses)
+    return replace(found, better=better)
 
 
 def _certify(

@@ -25,6 +25,8 @@ _MAX_KEPT = 0.5
 _MIN_GAIN = 3.0
 # Edges that take more than this fraction of what the cycle's own edge takes are of the same cycle.
 _SAME_CYCLE = 0.5
+# Weight of a rotation that is not measured, as a fraction of the median of those that are.
+_NEGLIGIBLE = 1e-9
 # Radians: nodes that rotate by less are fixed while a shift is tried.
 _MIN_ROTATION = 0.2
 
@@ -75,7 +77,7 @@ class AmbiguousCycles:
         self._free = graph.elimination.free_nodes()
         self._free_index = np.full(len(graph.ids), -1, np.int32)
         self._free_index[self._free] = np.arange(len(self._free), dtype=np.int32)
-        block = self._weight[:, None, None]
+        block = _without_zeros(self._weight)[:, None, None]
         zeros = np.zeros((len(graph.ids), 1, 1))
         self._problem = linear.LinearProblem(graph, linear.EdgeBlocks(block, -block, block), zeros)
 
@@ -124,6 +126,19 @@ class AmbiguousCycles:
     def _cost(self, residual: Floats) -> Floats:
         cost: Floats = 2 * _TURN * self._weight * (np.pi * self._kept - residual)
         return cost
+
+
+def _without_zeros(weights: Floats) -> Floats:
+    """Return weights in which those of zero are negligible instead, so that the system is regular.
+
+    Where no edge measures a rotation relative to the fixed nodes, the whole may rotate.
+    """
+    zero = weights == 0
+    if not zero.any():
+        return weights
+    return np.where(
+        zero, _NEGLIGIBLE * (np.median(weights[~zero]) if not zero.all() else 1), weights
+    )
 
 
 def _rotation_residuals(graph: PoseGraph, poses: Floats) -> tuple[Floats, Floats]:

@@ -74,7 +74,9 @@ class Relaxation:
         rotation = self.surrogate.rotation
         if rotation.ndim == 3:
             rotation = np.linalg.norm(rotation, axis=(1, 2)) / graph.dimension**0.5
-        self._scale = float(np.median(rotation)) if len(graph.edges) else 1.0
+        # What measures no rotation does not tell the scale.
+        measured = rotation[rotation > 0]
+        self._scale = float(np.median(measured)) if len(measured) else 1.0
 
     def cost(self, x: Floats) -> float:
         """Return the cost of unknowns, summed over the edges."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,14 +40,18 @@ def subgraph(graph: PoseGraph, poses: Floats, inside: Flags) -> Subgraph:
     edges = graph.topology.incident_edges(inside)
     ends = graph.edge_indices[edges].astype(np.int64)
     nodes = np.unique(ends)
+    more: dict[str, Any] = {}
+    if graph.sensor_offsets is not None:
+        more["offsets"] = np.ascontiguousarray(graph.sensor_offsets[edges])
     return Subgraph(
-        PoseGraph(
+        type(graph)(
             ids=nodes,
             poses=poses[nodes],
             edges=ends,
             measurements=np.ascontiguousarray(graph.measurements[edges]),
             information=np.ascontiguousarray(graph.information[edges]),
             fixed=nodes[~inside[nodes]],
+            **more,
         ),
         inside[nodes],
     )

@@ -97,8 +97,13 @@ def tangent_surrogate(graph: PoseGraph, poses: Floats) -> Surrogate:
     Raises
     ------
     OptimizationError
-        If an information matrix is singular to rounding.
+        If an information matrix is singular to rounding where no surrogate is known, or if edges
+        measure a sensor off its node.
     """
+    if graph.sensor_offsets is not None:
+        raise OptimizationError(
+            "no bound on chi2 is known for priors with a lever arm or an offset"
+        )
     e = residuals(graph, poses)
     part = _representable(graph)
     if graph.dimension == 2:
@@ -135,9 +140,12 @@ def _representable(graph: PoseGraph) -> _Part:
     own = w[mixed]
     spectrum = np.linalg.eigvalsh(own[:, :d, :d])
     turning = np.linalg.eigvalsh(blocks[mixed])
+    # What measures nothing of the translation or of the rotation has no part to be split.
+    alone = ~own[:, :d, d:].any(axis=(1, 2)) & (~w[mixed, d:, d:].any(axis=(1, 2)))
+    alone |= ~own[:, :d].any(axis=(1, 2))
     singular = np.flatnonzero(
-        (spectrum[:, 0] <= _SINGULAR * spectrum[:, -1])
-        | (turning[:, 0] <= _SINGULAR * turning[:, -1])
+        (spectrum[:, 0] <= _SINGULAR * spectrum[:, -1]) & own[:, :d].any(axis=(1, 2))
+        | (turning[:, 0] <= _SINGULAR * turning[:, -1]) & ~alone
     )
     if len(singular):
         a, b = graph.edges[mixed[singular[0]]]
@@ -149,8 +157,11 @@ def _representable(graph: PoseGraph) -> _Part:
     held[:, range(d), range(d)] = lowest[:, None]
     held[:, d:, d:] = blocks[mixed]
     # The largest multiple of D that W dominates: below one only if W couples the two.
-    inverse_root = np.linalg.inv(np.linalg.cholesky(held))
+    split = held.copy()
+    split[alone] = own[alone] = np.eye(len(w[0]))
+    inverse_root = np.linalg.inv(np.linalg.cholesky(split))
     ratios = np.linalg.eigvalsh(inverse_root @ own @ inverse_root.transpose(0, 2, 1))
+    own = w[mixed]
     # An eigenvalue is known to the rounding of the largest one.
     ratio = ratios[:, 0] - 16 * np.finfo(np.float64).eps * ratios[:, -1]
     if (ratio <= _MIN_RATIO).any():
@@ -166,7 +177,9 @@ def _representable(graph: PoseGraph) -> _Part:
 def _planar(graph: PoseGraph, e: Floats, part: _Part) -> Surrogate:
     mu, center = part.rotation, np.zeros(len(e))
     rest = part.rest.copy()
-    center[part.mixed] = -np.einsum("kj,kj->k", rest[:, 2], e[part.mixed]) / mu[part.mixed]
+    # A prior of a position alone has neither.
+    turned = np.where(mu > 0, mu, 1.0)[part.mixed]
+    center[part.mixed] = -np.einsum("kj,kj->k", rest[:, 2], e[part.mixed]) / turned
     # Too far from the heading: without its part of P, which then has a bound of its own.
     far = np.abs(e[part.mixed, 2] - center[part.mixed]) > _LARGEST_ANGLE
     center[part.mixed[far]] = 0
@@ -209,7 +222,8 @@ def _moved(graph: PoseGraph, e: Floats, part: _Part, rest: Floats) -> Floats:
     d, z = graph.dimension, graph.measurements.copy()
     v = np.einsum("kij,kj->ki", rest[:, :d], e[part.mixed])
     turn = _core.rotation_matrices(np.ascontiguousarray(z[part.mixed]))
-    z[part.mixed, :d] -= np.einsum("kij,kj->ki", turn, v) / part.translation[part.mixed, None]
+    least = part.translation[part.mixed, None]
+    z[part.mixed, :d] -= np.einsum("kij,kj->ki", turn, v) / np.where(least > 0, least, 1.0)
     return z
 
 

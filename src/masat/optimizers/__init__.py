@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import perf_counter
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from masat import _core
 from masat.arrays import Flags, Floats
+from masat.assembly import Assembly, assemble, needs_assembly
+from masat.determinacy import with_undetermined_kept
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
 from masat.optimizers.dogleg import dogleg
@@ -22,7 +25,7 @@ from masat.optimizers.equations import (
 from masat.optimizers.gauss_newton import gauss_newton
 from masat.optimizers.gnc import graduated_truncation
 from masat.optimizers.levenberg_marquardt import levenberg_marquardt
-from masat.optimizers.losses import GNC_TLS, LOSSES, EdgeLoss, Loss, robust_cost
+from masat.optimizers.losses import GNC_TLS, LOSSES, EdgeLoss, Loss, checked_mask, robust_cost
 from masat.optimizers.result import Result
 from masat.optimizers.reweighting import robust_equations
 from masat.optimizers.saddles import away_from_half_turns
@@ -81,7 +84,10 @@ def optimize(
     progress: Progress | None = None,
     equations: _core.NormalEquations | None = None,
 ) -> Result:
-    """Minimize chi2, the sum over the edges of e' W e, over the poses of the free nodes.
+    """Minimize chi2, the sum of e' W e over all measurements, over the poses of the free nodes.
+
+    The measurements are the edges, the priors and the observations of landmarks, whose points are
+    optimized with the poses. What nothing determines stays where it is; the graph's notes say so.
 
     With a loss, minimize the sum of rho(e' W e) instead, in which wrong edges have little weight.
     Such a cost has more local minima than chi2: a good initial guess matters more.
@@ -102,7 +108,8 @@ def optimize(
         Scale of the loss in standard deviations: beyond chi2 = scale^2 an edge counts as doubtful.
         Default: scale^2 is the chi2 that one good edge in 100 exceeds, 11.3 in 2D and 16.8 in 3D.
     trusted : ndarray of bool, (m,), optional
-        Edges that keep their chi2 as cost, for instance odometry. Default: none.
+        Edges that keep their chi2 as cost, for instance odometry. Default: none. Priors and
+        observations are not trusted.
     max_iterations : int
         Limit of the iterations, with "gnc_tls" of those of each stage.
     relative_tolerance : float
@@ -137,6 +144,27 @@ def optimize(
     method = check_method(method)
     if graph.poses is None:
         raise OptimizationError("the graph has no poses: give it some with masat.initialize")
+    if needs_assembly(graph):
+        if graph.landmarks is not None and graph.points is None:
+            raise OptimizationError(
+                "the landmarks have no positions: give them some with masat.initialize"
+            )
+        assembly, notes = with_undetermined_kept(assemble(graph))
+        return optimize_assembly(
+            assembly.with_notes(notes),
+            method,
+            loss=loss,
+            scale=scale,
+            trusted=trusted,
+            max_iterations=max_iterations,
+            relative_tolerance=relative_tolerance,
+            absolute_tolerance=absolute_tolerance,
+            gradient_tolerance=gradient_tolerance,
+            threads=threads,
+            report=report,
+            progress=progress,
+            equations=equations,
+        )
     if max_iterations < 0 or min(relative_tolerance, absolute_tolerance, gradient_tolerance) < 0:
         raise OptimizationError("iteration limit and tolerances must not be negative")
     if loss is None and (scale is not None or trusted is not None):
@@ -220,6 +248,38 @@ def optimize(
         loss=None if robust is None else robust.name,
         robust_cost=None if costs is None else float(costs.sum()),
         weights=weights,
+    )
+
+
+def optimize_assembly(
+    assembly: Assembly,
+    method: str,
+    *,
+    loss: str | Loss | EdgeLoss | None = None,
+    trusted: Flags | None = None,
+    **options: Any,
+) -> Result:
+    """Optimize a graph with priors, landmarks or partial edges; parameters as of `optimize`.
+
+    Returns
+    -------
+    Result
+        That of the source: its poses, its landmarks, and weights of its edges alone.
+    """
+    source, graph = assembly.source, assembly.graph
+    believed = None
+    if loss is not None:
+        # What keeps rotations of landmarks and undetermined directions costs nothing in any case.
+        believed = np.ones(len(graph.edges), np.bool_)
+        believed[: assembly.measured] = False
+        if trusted is not None:
+            believed[: len(source.edges)] = checked_mask(source, trusted)
+    result = optimize(graph, method, loss=loss, trusted=believed, **options)
+    return replace(
+        result,
+        graph=replace(assembly.disassembled(result.poses), notes=graph.notes),
+        gauge=source.gauge,
+        weights=None if result.weights is None else result.weights[: len(source.edges)],
     )
 
 

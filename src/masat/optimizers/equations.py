@@ -58,6 +58,7 @@ def normal_equations(graph: PoseGraph, threads: int | None = None) -> _core.Norm
         graph.measurements,
         graph.information,
         worthwhile_threads(graph) if threads is None else checked_threads(threads),
+        graph.sensor_offsets,
     )
 
 

@@ -156,7 +156,7 @@ def robust_cost(
             known = ", ".join(LOSSES)
             raise OptimizationError(f"unknown loss {loss!r}; known: {known}, or a function")
         loss = LOSSES[loss]
-    mask = _checked_mask(graph, trusted)
+    mask = checked_mask(graph, trusted)
     if isinstance(loss, Loss):
         scale = default_scale(graph.dof) if scale is None else _checked_scale(scale)
         return RobustCost(loss.name, ScaledLoss(loss.kind, scale), scale, mask)
@@ -185,7 +185,8 @@ def _checked_scale(scale: object) -> float:
     return value
 
 
-def _checked_mask(graph: PoseGraph, trusted: object) -> Flags | None:
+def checked_mask(graph: PoseGraph, trusted: object) -> Flags | None:
+    """Return a mask of the edges, (m,), if it is one."""
     if trusted is None:
         return None
     mask = np.asarray(trusted)

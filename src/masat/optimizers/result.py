@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from masat import measurements
 from masat.arrays import AnyArray, Flags, Floats, Ids, locked
 from masat.errors import FormatError, MasatError
 from masat.files import write_atomically
 from masat.graph import PoseGraph
+from masat.information import degrees_of_freedom
 from masat.optimizers.termination import Iteration, StopReason
 
 if TYPE_CHECKING:
@@ -133,8 +135,7 @@ class Result:
     @property
     def degrees_of_freedom(self) -> int:
         """Measured numbers less unknown ones."""
-        unknown = len(self.graph) - len(self.gauge)
-        return self.graph.dof * (len(self.graph.edges) - unknown)
+        return degrees_of_freedom(self.graph)
 
     @property
     def reduced_chi2(self) -> float | None:
@@ -187,6 +188,7 @@ class Result:
         optional: dict[str, Any] = {
             "labels": graph.labels,
             "stamps": graph.stamps,
+            **measurements.arrays_of(graph),
             "weights": self.weights,
             "kept": self.kept,
             "closures": self.closures,
@@ -233,6 +235,8 @@ class Result:
                     notes=about["notes"],
                     labels=arrays.get("labels"),
                     stamps=arrays.get("stamps"),
+                    priors=measurements.saved_priors(arrays),
+                    landmarks=measurements.saved_landmarks(arrays),
                 ).with_root(arrays["gauge"])
                 return cls(
                     graph=graph,

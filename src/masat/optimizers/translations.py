@@ -38,7 +38,12 @@ def solve_translations(
     if matrix is None:
         matrix = _core.GraphMatrix(graph.elimination, graph.dimension)
     solved, failed = _core.solve_translations(
-        graph.topology, matrix, graph.measurements, graph.information, poses
+        graph.topology,
+        matrix,
+        graph.measurements,
+        graph.information,
+        poses,
+        graph.sensor_offsets,
     )
     if failed >= 0:
         raise undetermined(graph, failed, "position")

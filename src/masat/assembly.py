@@ -1,0 +1,221 @@
+"""A graph with priors, landmarks or partial information as edges of one kind.
+
+The solvers know one measurement: the relative pose of two nodes. A prior is an edge from the world,
+a fixed node at the identity. A landmark is a node whose observations measure the translation alone;
+an edge from the world, which it meets exactly, keeps its rotation at the identity. What nothing
+determines is kept at the initial guess by further edges from the world (`determinacy.py`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from masat import lie
+from masat.arrays import Flags, Floats, Ids
+from masat.errors import GraphError
+from masat.graph import PoseGraph
+from masat.residuals import as_poses
+from masat.structure import Structure
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AssembledGraph(PoseGraph):
+    """A graph in which priors and landmarks are edges and nodes already.
+
+    Attributes
+    ----------
+    offsets : ndarray, (m, 3) or (m, 7), or None
+        Pose of the sensor that each edge measures, in the frame of the node that it leads to.
+    """
+
+    offsets: Floats | None = field(default=None)
+
+    @property
+    def sensor_offsets(self) -> Floats | None:
+        """See `offsets`."""
+        return self.offsets
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """A graph and the graph that is solved in its place.
+
+    Attributes
+    ----------
+    source : PoseGraph
+        The graph with priors and landmarks.
+    graph : AssembledGraph
+        Poses, landmarks and the world as nodes, in the order of their ids, the world last. Its
+        edges are those of the source, its priors, its observations, one for the rotation of each
+        landmark, and those that keep what is not determined.
+    """
+
+    source: PoseGraph
+    graph: AssembledGraph
+
+    @property
+    def world(self) -> int:
+        """Index of the world among the nodes."""
+        return len(self.graph.ids) - 1
+
+    @property
+    def poses_at(self) -> Ids:
+        """Indices of the source's poses among the nodes, (n,)."""
+        return np.searchsorted(self.graph.ids, self.source.ids)
+
+    @property
+    def points_at(self) -> Ids:
+        """Indices of the landmarks among the nodes, (k,)."""
+        return np.searchsorted(self.graph.ids, self.source.point_ids)
+
+    @property
+    def is_point(self) -> Flags:
+        """Which nodes are landmarks, (n + k + 1,)."""
+        out = np.zeros(len(self.graph.ids), np.bool_)
+        out[self.points_at] = True
+        return out
+
+    @property
+    def prior_rows(self) -> slice:
+        """The edges that are priors."""
+        first = len(self.source.edges)
+        return slice(first, first + (0 if self.source.priors is None else len(self.source.priors)))
+
+    @property
+    def observation_rows(self) -> slice:
+        """The edges that are observations of landmarks."""
+        first, seen = self.prior_rows.stop, self.source.landmarks
+        return slice(first, first + (0 if seen is None else len(seen.observations)))
+
+    @property
+    def measured(self) -> int:
+        """How many edges stand for measurements; those after them have a chi2 of zero."""
+        return int(self.observation_rows.stop)
+
+    def placed(self, poses: Floats, points: Floats | None) -> Floats:
+        """Return poses of all nodes, from those of the source and its landmarks."""
+        out = np.tile(lie.identity(self.source.dimension), (len(self.graph.ids), 1))
+        out[self.poses_at] = poses
+        if points is not None:
+            out[self.points_at] = as_poses(points)
+        return out
+
+    def disassembled(self, nodes: Floats) -> PoseGraph:
+        """Return the source at the poses of all nodes."""
+        moved = self.source.with_poses(nodes[self.poses_at])
+        if self.source.landmarks is None:
+            return moved
+        return moved.with_points(nodes[self.points_at, : self.source.dimension])
+
+    def at(self, nodes: Floats) -> Assembly:
+        """Return the assembly with poses of all nodes."""
+        return replace(self, graph=self.graph.with_poses(nodes))
+
+    def with_notes(self, notes: list[str]) -> Assembly:
+        """Return the assembly with more notes."""
+        every = tuple(dict.fromkeys([*self.graph.notes, *notes]))
+        return replace(self, graph=replace(self.graph, notes=every))
+
+    def with_edges_from_world(
+        self, nodes: Ids, measurements: Floats, information: Floats
+    ) -> Assembly:
+        """Return the assembly with more edges from the world, to nodes given by their indices."""
+        if len(nodes) == 0:
+            return self
+        old = self.graph
+        world = np.full(len(nodes), old.ids[-1])
+        structure = Structure(
+            old.ids,
+            np.concatenate([old.edges, np.stack([world, old.ids[nodes]], 1)]),
+            old.fixed,
+            old.dof,
+        )
+        graph = replace(
+            old,
+            edges=structure.edges,
+            structure=structure,
+            ids=structure.ids,
+            fixed=structure.fixed,
+            measurements=np.concatenate([old.measurements, measurements]),
+            information=np.concatenate([old.information, information]),
+            offsets=_padded(old.offsets, len(nodes)),
+        )
+        return replace(self, graph=graph)
+
+
+def needs_assembly(graph: PoseGraph) -> bool:
+    """Whether a graph has more than edges that determine relative poses in full."""
+    if isinstance(graph, AssembledGraph):
+        return False
+    return graph.priors is not None or graph.landmarks is not None or graph.has_partial_edges
+
+
+def assemble(graph: PoseGraph) -> Assembly:
+    """Return the graph that is solved in the place of one with priors, landmarks or partial edges.
+
+    It has poses where the graph has, and positions of its landmarks if there are any.
+    """
+    d, priors, seen = graph.dimension, graph.priors, graph.landmarks
+    joint = graph.joint_structure
+    world = joint.ids[-1]
+    edges, z, w = [graph.edges], [graph.measurements], [graph.information]
+    offsets = None
+    if priors is not None:
+        edges.append(np.stack([np.full(len(priors), world), priors.ids], 1))
+        z.append(priors.measurements)
+        w.append(priors.information)
+    if seen is not None:
+        edges.append(seen.observations)
+        z.append(as_poses(seen.measurements))
+        padded = np.zeros((len(seen.observations), graph.dof, graph.dof))
+        padded[:, :d, :d] = seen.information
+        w.append(padded)
+        edges.append(np.stack([np.full(len(seen), world), seen.ids], 1))
+        z.append(as_poses(np.zeros((len(seen), d))))
+        upright = np.zeros((len(seen), graph.dof, graph.dof))
+        upright[:, range(d, graph.dof), range(d, graph.dof)] = _typical_rotation(graph)
+        w.append(upright)
+    if priors is not None and priors.offsets is not None:
+        offsets = np.tile(lie.identity(d), (sum(map(len, z)), 1))
+        offsets[len(graph.edges) : len(graph.edges) + len(priors)] = priors.offsets
+    structure = Structure(joint.ids, np.concatenate(edges), joint.gauge, graph.dof)
+    assembled = AssembledGraph(
+        ids=structure.ids,
+        poses=None,
+        edges=structure.edges,
+        measurements=np.concatenate(z),
+        information=np.concatenate(w),
+        fixed=structure.fixed,
+        notes=graph.notes,
+        structure=structure,
+        offsets=offsets,
+    )
+    out = Assembly(graph, assembled)
+    if graph.poses is None or (seen is not None and seen.positions is None):
+        return out
+    return out.at(out.placed(graph.poses, graph.points))
+
+
+def checked_support(graph: PoseGraph, what: str) -> None:
+    """Refuse a graph with priors, landmarks or partial edges where something cannot treat them."""
+    if needs_assembly(graph):
+        raise GraphError(
+            f"{what} cannot treat priors, landmarks or partial information yet: leave them out"
+        )
+
+
+def _typical_rotation(graph: PoseGraph) -> float:
+    """Return the information of a typical edge about a rotation."""
+    d = graph.dimension
+    values = np.einsum("kii->k", graph.information[:, d:, d:]) / (graph.dof - d)
+    values = values[values > 0]
+    return float(np.median(values)) if len(values) else 1.0
+
+
+def _padded(offsets: Floats | None, rows: int) -> Floats | None:
+    if offsets is None:
+        return None
+    identity = lie.identity(2 if offsets.shape[1] == 3 else 3)
+    return np.concatenate([offsets, np.tile(identity, (rows, 1))])

@@ -1,0 +1,124 @@
+"""Position fixes in a frame of their own: the same map from any offset, and wrong ones."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from test_alignment import poses_at, random_pose
+
+import masat
+from masat import lie
+from masat.worlds import WORLDS
+
+GRAPHS = ["2d/input_M3500_g2o.g2o", "2d/kitti_00.g2o", "3d/sphere2500.g2o"]
+
+
+def with_fixes(graph, poses, motion, *, wrong=0.0, seed=0):
+    """The graph with a fix of half a meter on every 20th node, in a frame moved by a motion."""
+    rng = np.random.default_rng(seed)
+    d, nodes = graph.dimension, np.arange(0, len(graph.ids), 20)
+    where = poses[nodes, :d] + rng.normal(size=(len(nodes), d)) * 0.5
+    bad = rng.choice(len(nodes), round(wrong * len(nodes)), replace=False)
+    far = rng.normal(size=(len(bad), d))
+    where[bad] += 50 * far / np.linalg.norm(far, axis=1)[:, None]
+    there = lie.compose(motion, poses_at(where))[:, :d]
+    return graph.with_priors(masat.gps(graph.ids[nodes], there, 0.5)), bad
+
+
+@pytest.mark.parametrize("name", GRAPHS)
+def test_the_minimum_is_the_same_from_any_offset_and_heading(data_dir, name):
+    graph = masat.read(data_dir / name)
+    alone = masat.solve(graph)
+    chi2 = []
+    for seed in range(5):
+        motion = random_pose(np.random.default_rng(seed), graph.dimension)
+        fixed, _ = with_fixes(graph, alone.poses, motion)
+        result = masat.solve(fixed)
+        assert result.converged
+        assert len(result.gauge) == 0
+        assert_allclose(
+            lie.compose(lie.inverse(motion), result.poses)[:, 0], alone.poses[:, 0], atol=2
+        )
+        chi2.append(result.chi2)
+    assert_allclose(chi2, chi2[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("method", sorted(masat.initializers.INITIALIZERS))
+def test_every_initial_guess_is_aligned_with_its_priors(method):
+    world = WORLDS["manhattan"](200, 300, seed=1)
+    motion = np.array([500.0, -300, np.pi])
+    there = lie.compose(motion, world.poses)
+    if method == "given":
+        world = world.with_poses(there)
+    fixed = world.with_fixed([]).with_priors(masat.gps(world.ids[::7], there[::7, :2], 1.0))
+    guess = masat.initialize(fixed, method)
+    assert_allclose(guess.poses[:, :2], there[:, :2], atol=1e-6)
+    assert guess.chi2 < 1e-9
+
+
+def test_a_certificate_holds_with_fixes_as_without(data_dir):
+    graph = masat.read(data_dir / GRAPHS[0])
+    alone = masat.solve(graph, certify=True)
+    assert alone.certificate.certified
+    fixed, _ = with_fixes(graph, alone.poses, np.array([10.0, 20, 3]))
+    result = masat.solve(fixed, certify=True)
+    assert result.certificate.certified
+    # Half the map turned by half a turn is no optimum.
+    turned = result.poses.copy()
+    half = turned[1750:]
+    about = np.array([*turned[1750, :2], np.pi])
+    back = lie.inverse(np.array([*turned[1750, :2], 0.0]))
+    turned[1750:] = lie.compose(about, lie.compose(back, half))
+    wrong = masat.certify(result.graph.with_poses(turned), search=False)
+    assert not wrong.certified
+
+
+def test_a_third_of_wrong_fixes_has_no_weight_under_a_robust_loss(data_dir):
+    graph = masat.read(data_dir / GRAPHS[0])
+    alone = masat.solve(graph)
+    fixed, bad = with_fixes(graph, alone.poses, np.array([300.0, 40, 2]), wrong=0.3)
+    chain = np.ones(len(graph.edges), np.bool_)
+    result = masat.solve(fixed, init="chordal", loss="gnc_tls", trusted=chain)
+    # The map is as good as without the wrong fixes.
+    good = np.delete(np.arange(len(fixed.priors)), bad)
+    clean = masat.solve(fixed.with_priors(fixed.priors.rows(good)))
+    assert_allclose(result.poses[:, :2], clean.poses[:, :2], atol=1.0)
+
+
+def test_parts_that_only_fixes_tie_share_a_frame():
+    corners = np.array([(0, 0), (10, 0), (10, 10), (0, 10)], float)
+    edges = [(0, 1), (2, 3)]
+    graph = masat.PoseGraph.from_arrays(
+        edges, [(10, 0, 0), (10, 0, 0)], priors=masat.gps(range(4), corners, 0.1)
+    )
+    assert graph.components.tolist() == [0, 0, 0, 0]
+    result = masat.solve(graph)
+    assert result.chi2 < 1e-20
+    assert_allclose(result.poses[:, :2], corners, atol=1e-9)
+
+
+def test_a_full_prior_is_a_root():
+    pose = (5, 6, 1.0)
+    graph = masat.PoseGraph.from_arrays(
+        [(0, 1)], [(1, 0, 0)], priors=masat.pose_priors([1], [pose])
+    )
+    for method in ("odometry", "masat", "chordal", "toro"):
+        assert_allclose(masat.solve(graph, init=method).poses[1], pose, atol=1e-9)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_landmarks_alone_join_the_parts_of_a_map(d):
+    # Two robots see the same four landmarks; no edge joins them.
+    rng = np.random.default_rng(d)
+    poses = np.array([random_pose(rng, d, 3.0) for _ in range(6)])
+    points = rng.normal(size=(4, d)) * 5
+    edges = [(0, 1), (1, 2), (3, 4), (4, 5)]
+    z = np.array([lie.between(poses[a], poses[b]) for a, b in edges])
+    seen = [(k, 100 + j) for k in range(6) for j in range(4)]
+    where = [lie.between(poses[k], poses_at(points)[j - 100])[:d] for k, j in seen]
+    graph = masat.PoseGraph.from_arrays(
+        edges, z, landmarks=masat.landmarks(seen, where), poses=poses, fixed=[0]
+    )
+    result = masat.solve(graph)
+    assert result.chi2 < 1e-18
+    assert_allclose(result.graph.points, points, atol=1e-8)
+    assert_allclose(lie.local(result.poses, poses), 0, atol=1e-8)

@@ -1,0 +1,307 @@
+"""Priors and landmarks: what they hold, what they cost, and that one solver serves all."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import masat
+from masat import GraphError, InformationError, MasatError, PoseGraph, lie
+from masat.assembly import assemble
+from masat.optimizers.equations import normal_equations
+
+SQUARE = [(0, 1), (1, 2), (2, 3), (3, 0)]
+QUARTER = {2: (1, 0, np.pi / 2), 3: (1, 0, 0, 0, 0, np.sin(np.pi / 4), np.cos(np.pi / 4))}
+
+
+def square(d=2, **more):
+    return PoseGraph.from_arrays(SQUARE, [QUARTER[d]] * 4, **more)
+
+
+def random_poses(rng, n, d, reach=3.0):
+    t = rng.normal(size=(n, d)) * reach
+    if d == 2:
+        return np.column_stack([t, rng.uniform(-np.pi, np.pi, n)])
+    q = rng.normal(size=(n, 4))
+    return np.column_stack([t, q / np.linalg.norm(q, axis=1)[:, None]])
+
+
+def random_information(rng, n, d):
+    a = rng.normal(size=(n, d, d + 2))
+    return a @ a.transpose(0, 2, 1)
+
+
+def graph_of_everything(d, seed=0, offset=True):
+    """A graph with edges, full, partial and point priors, landmarks, and random poses of all."""
+    rng = np.random.default_rng(seed)
+    dof = lie.DOF[d]
+    partial = random_information(rng, 3, dof)
+    partial[0, d:] = partial[0, :, d:] = 0
+    partial[1, :d] = partial[1, :, :d] = 0
+    offsets = random_poses(rng, 3, d) if offset else None
+    priors = masat.pose_priors([0, 1, 3], random_poses(rng, 3, d), partial, offset=offsets)
+    priors += masat.gps([50, 2], rng.normal(size=(2, d)), 0.3)
+    seen = masat.landmarks(
+        [(0, 50), (1, 50), (2, 51), (3, 50)],
+        rng.normal(size=(4, d)),
+        random_information(rng, 4, d),
+        positions=rng.normal(size=(2, d)),
+    )
+    return PoseGraph.from_arrays(
+        SQUARE,
+        random_poses(rng, 4, d),
+        random_information(rng, 4, dof),
+        poses=random_poses(rng, 4, d),
+        priors=priors,
+        landmarks=seen,
+    )
+
+
+def test_priors_of_each_kind_hold_what_was_measured():
+    fixes = masat.gps([3, 5], [(1, 2), (3, 4)], [0.5, 0.25])
+    assert_array_equal(fixes.measurements, [[1, 2, 0], [3, 4, 0]])
+    assert_array_equal(fixes.information, [np.diag([4.0, 16, 0])] * 2)
+    turned = masat.headings([3], [0.5], 0.1)
+    assert_array_equal(turned.measurements, [[0, 0, 0.5]])
+    assert_allclose(turned.information, [np.diag([0, 0, 100])])
+    high = masat.altitudes([3], [7], 0.5)
+    assert_array_equal(high.measurements, [[0, 0, 7, 0, 0, 0, 1]])
+    assert_array_equal(high.information, [np.diag([0, 0, 4.0, 0, 0, 0])])
+    both = fixes + turned
+    assert_array_equal(both.ids, [3, 5, 3])
+    with pytest.raises(ValueError, match="read-only"):
+        both.information[0] = 0
+
+
+BAD_PRIORS = [
+    (lambda: masat.gps([0], [(0, 0)], -1), GraphError, "sigma of node 0 must be positive"),
+    (lambda: masat.gps([0, 1], [(0, 0)], 1), GraphError, r"positions must have shape \(2, 2\)"),
+    (lambda: masat.gps([4], [(0, np.nan)], 1), GraphError, "prior of node 4 is not finite"),
+    (lambda: masat.gps([0], [(0, 0)], 1, lever_arm=(1,)), GraphError, "lever_arm must have shape"),
+    (lambda: masat.headings([0], [(0, 1)], 1), GraphError, "angles must have shape"),
+    (lambda: masat.pose_priors([0], [(0, 0, 0)], -np.eye(3)), InformationError, "prior of node 0"),
+    (lambda: masat.pose_priors([0], [(0, 0, 0)], np.zeros((3, 3))), InformationError, "zero"),
+    (lambda: masat.gps([0], [(0, 0)], 1) + masat.altitudes([0], [1], 1), GraphError, "2D and in"),
+    (lambda: square(priors=masat.gps([9], [(0, 0)], 1), ids=range(4)), GraphError, "node 9"),
+    (lambda: square(priors=masat.altitudes([0], [1], 1)), GraphError, "priors are in 3D"),
+    (lambda: square(priors=[np.eye(3)]), GraphError, "made by masat.gps"),
+]
+
+
+@pytest.mark.parametrize(("make", "error", "message"), BAD_PRIORS)
+def test_bad_priors_are_one_clear_error(make, error, message):
+    with pytest.raises(error, match=message):
+        make()
+
+
+BAD_LANDMARKS = [
+    ([(0, 9)], [(1, 1, 1)], {}, "landmarks are in 3D"),
+    ([(0, 3)], [(1, 1)], {}, "the id 3 is that of a pose and of a landmark"),
+    ([(8, 9)], [(1, 1)], {}, r"observation 0 \(8 -> 9\) names pose 8"),
+    ([(0, 9)], [(1, np.inf)], {}, r"observation 0 \(0 -> 9\) is not finite"),
+    ([(0, 9)], [(1, 1)], {"ids": [8]}, "observation 0 .* names no landmark"),
+    ([(0, 9)], [(1, 1)], {"positions": [(1, 1), (2, 2)]}, "positions of landmarks must have"),
+    ([(0, 9)], [(1, 1)], {"positions": [(1, np.nan)]}, "position of landmark 9 is not finite"),
+    ([(0, 9)], [(1, 1)], {"information": -np.eye(2)}, "first that of observation 0"),
+]
+
+
+@pytest.mark.parametrize(("pairs", "z", "more", "message"), BAD_LANDMARKS)
+def test_bad_landmarks_are_one_clear_error(pairs, z, more, message):
+    with pytest.raises(GraphError, match=message):
+        square(landmarks=masat.landmarks(pairs, z, **more), ids=range(4))
+
+
+def test_a_prior_on_a_landmark_is_of_its_position_alone():
+    seen = masat.landmarks([(0, 9)], [(1, 1)])
+    assert len(square(landmarks=seen, priors=masat.gps([9], [(2, 2)], 1)).priors) == 1
+    with pytest.raises(GraphError, match="landmark 9 measures a rotation"):
+        square(landmarks=seen, priors=masat.headings([9], [0], 1))
+
+
+def test_the_cost_of_a_prior_and_of_an_observation_by_hand():
+    graph = PoseGraph.from_arrays(
+        [(0, 1)],
+        [(1, 0, 0)],
+        poses=[(0, 0, 0), (1, 0, np.pi / 2)],
+        priors=masat.gps([1], [(3, 4)], [1, 0.5]) + masat.headings([1], [0], 0.5),
+        landmarks=masat.landmarks([(1, 9)], [(1, 0)], np.diag([1.0, 4]), positions=[(0, 2)]),
+    )
+    # (1, 0) - (3, 4) = (-2, -4), with 1 and 4; a quarter turn with 4.
+    assert_allclose(graph.chi2_per_prior, [4 + 16 * 4, 4 * (np.pi / 2) ** 2])
+    # The landmark lies at (2, 1) in the frame of node 1: 1 and 1 off, with 1 and 4.
+    assert_allclose(graph.chi2_per_observation, [1 + 4])
+    assert_allclose(graph.chi2, graph.chi2_per_prior.sum() + 5 + (np.pi / 2) ** 2)
+
+
+def test_a_lever_arm_is_where_the_antenna_is():
+    # The antenna one meter ahead of a robot that looks along y stands at (0, 1).
+    graph = PoseGraph.from_arrays(
+        [],
+        np.empty((0, 3)),
+        ids=[0],
+        poses=[(0, 0, np.pi / 2)],
+        priors=masat.gps([0], [(0, 1)], 1, lever_arm=(1, 0)),
+    )
+    assert graph.chi2 < 1e-30
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("offset", [False, True])
+def test_the_assembled_graph_costs_the_same(d, offset):
+    graph = graph_of_everything(d, offset=offset)
+    assembly = assemble(graph)
+    assert_allclose(assembly.graph.chi2, graph.chi2, rtol=1e-12)
+    back = assembly.disassembled(assembly.graph.poses)
+    assert_array_equal(back.poses, graph.poses)
+    assert_array_equal(back.points, graph.points)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_gradients_are_those_of_finite_differences(d):
+    graph = assemble(graph_of_everything(d)).graph
+    equations = normal_equations(graph)
+    equations.linearize(graph.poses)
+    gradient = -2 * equations.rhs()
+    step = 1e-6
+    for k in range(len(gradient)):
+        ends = []
+        for sign in (1, -1):
+            move = np.zeros(len(gradient))
+            move[k] = sign * step
+            ends.append(equations.chi2(equations.retract(graph.poses, move)))
+        assert_allclose(gradient[k], (ends[0] - ends[1]) / (2 * step), rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_jacobians_of_an_offset_are_those_of_finite_differences(d):
+    # H of one prior is J' W J: with W = I the columns of J are the derivatives of the residual.
+    rng = np.random.default_rng(1)
+    pose, offset = random_poses(rng, 2, d)
+    dof = lie.DOF[d]
+    # Near the measurement, where the second derivatives of the residual do not matter.
+    z = lie.compose(pose, offset)
+    graph = PoseGraph.from_arrays(
+        [],
+        np.empty((0, len(pose))),
+        ids=[0],
+        poses=[pose],
+        priors=masat.pose_priors([0], [z], offset=offset),
+    )
+    equations = normal_equations(assemble(graph).graph)
+    equations.linearize(assemble(graph).graph.poses)
+    h = np.array([equations.multiply(row) for row in np.eye(dof)])
+    step = 1e-6
+    jacobian = np.array(
+        [
+            lie.local(z, lie.compose(lie.retract(pose, sign), offset)) / step
+            for sign in step * np.eye(dof)
+        ]
+    ).T
+    assert_allclose(h, jacobian.T @ jacobian, atol=1e-4)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_the_rotation_of_a_landmark_stays_where_it_is(d):
+    result = masat.optimize(graph_of_everything(d), max_iterations=10)
+    assembly = assemble(result.graph)
+    assert_allclose(assembly.graph.chi2_per_edge[assembly.measured :], 0, atol=1e-20)
+
+
+def test_a_graph_without_any_is_solved_as_before():
+    graph = square(poses=[(0, 0, 0), (1.1, 0, 1.5), (1, 1, 3.1), (0, 1, -1.5)])
+    assert graph.priors is None
+    assert graph.landmarks is None
+    assert len(graph.point_ids) == 0
+    assert graph.points is None
+    assert graph.gauge is graph.structure.gauge
+    assert graph.components is graph.structure.components
+    assert type(masat.optimize(graph).graph) is PoseGraph
+
+
+def test_edits_and_merges_carry_priors_and_landmarks():
+    graph = graph_of_everything(2)
+    assert_allclose(graph.relabel({0: 100, 2: -7}).chi2, graph.chi2)
+    less = graph.without_nodes(1)
+    assert_array_equal(less.priors.ids, [0, 3, 50, 2])
+    assert_array_equal(less.landmarks.observations, [(0, 50), (2, 51), (3, 50)])
+    two = masat.merge([graph, graph])
+    assert_allclose(two.chi2, 2 * graph.chi2)
+    assert_array_equal(two.point_ids, [50, 51, 102, 103])
+    with pytest.raises(GraphError, match="the id 50 is that of a landmark"):
+        graph.with_edges([(0, 50)], [(1, 0, 0)])
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_saved_result_keeps_them(d, tmp_path):
+    result = masat.optimize(graph_of_everything(d))
+    result.save(tmp_path / "map.npz")
+    again = masat.Result.load(tmp_path / "map.npz").graph
+    assert again.chi2 == result.graph.chi2
+    assert_array_equal(again.points, result.graph.points)
+
+
+def test_degrees_of_freedom_count_what_was_measured():
+    graph = square(
+        priors=masat.gps([0, 1], [(0, 0), (1, 0)], 0.1),
+        landmarks=masat.landmarks([(0, 9), (1, 9)], [(1, 1), (1, 0)]),
+    )
+    result = masat.solve(graph)
+    assert result.degrees_of_freedom == 4 * 3 + 2 * 2 + 2 * 2 - 4 * 3 - 2
+    assert masat.diagnose(graph).degrees_of_freedom == 6
+
+
+def test_covariances_of_poses_and_landmarks_by_hand():
+    graph = PoseGraph.from_arrays(
+        [],
+        np.empty((0, 3)),
+        ids=[0],
+        poses=[(0, 0, 0)],
+        priors=masat.pose_priors([0], [(0, 0, 0)], np.diag([4.0, 16, 25])),
+        landmarks=masat.landmarks([(0, 9)], [(10, 0)], np.eye(2), positions=[(10, 0)]),
+    )
+    assert_allclose(masat.covariances(graph), [np.diag([0.25, 0.0625, 0.04])], atol=1e-12)
+    # Across its ray the landmark has the heading's part, ten meters away.
+    expected = np.diag([0.25 + 1, 0.0625 + 100 * 0.04 + 1])
+    assert_allclose(masat.landmark_covariances(graph), [expected], atol=1e-12)
+    with pytest.raises(GraphError, match="no landmark 0"):
+        masat.landmark_covariances(graph, [0])
+
+
+def test_positions_on_the_earth_need_a_package_or_are_near_their_origin():
+    try:
+        import pymap3d  # noqa: F401
+    except ImportError:
+        with pytest.raises(MasatError, match=r"masat\[gps\]"):
+            masat.east_north_up([48.0], [11.0])
+        return
+    there = masat.east_north_up([48.0, 48.0, 48.001], [11.0, 11.001, 11.0], [500, 500, 510])
+    assert_allclose(there[0], 0, atol=1e-9)
+    assert_allclose(there[1], [74.6, 0, 0], atol=0.1)
+    assert_allclose(there[2], [0, 111.2, 10], atol=0.1)
+
+
+def test_what_is_no_position_on_the_earth_is_refused():
+    with pytest.raises(GraphError, match="position 1 is not on the Earth"):
+        masat.east_north_up([0, 91], [0, 0])
+
+
+@pytest.mark.parametrize(
+    ("matrix", "fine"),
+    [
+        (np.diag([1.0, 1, 0]), True),
+        (np.diag([0, 0, 3.0]), True),
+        (np.array([[1.0, 1, 0], [1, 1, 0], [0, 0, 1]]), True),
+        (np.diag([1e300, 1e-300, 0]), True),
+        (np.array([[0, 1, 0], [1, 0, 0], [0, 0, 1.0]]), False),
+        (np.diag([1e308, 1, -1]), False),
+        (np.array([[1.0, 1 + 1e-9, 0], [1 + 1e-9, 1, 0], [0, 0, 1]]), False),
+        (np.zeros((3, 3)), False),
+    ],
+)
+def test_information_may_be_semidefinite_but_not_indefinite_or_zero(matrix, fine):
+    if fine:
+        graph = PoseGraph.from_arrays([(0, 1)], [(1, 0, 0)], matrix)
+        assert graph.has_partial_edges or np.linalg.cond(matrix) > 1e20
+        return
+    with pytest.raises(InformationError, match="are zero or not positive semidefinite"):
+        PoseGraph.from_arrays([(0, 1)], [(1, 0, 0)], matrix)
