@@ -22,10 +22,13 @@ from masat.robust.parts import joining_closures
 from masat.robust.redundancy import Scales
 from masat.robust.slips import suspected_slip
 from masat.robust.table import table_of, table_of_fit
-from masat.robust.whole import Fit, fit_of_all
+from masat.robust.whole import Fit, fit_of_all, odometry_allows
 
 # Trusted edges that may be released, and the gates that one has to save.
-_MAX_RELEASED, _PRICE_OF_RELEASE = 5, 4.0
+_MAX_RELEASED, _PRICE_OF_RELEASE = 5, 2.0
+# Fraction of the closures that has to be in doubt for the trusted edges to be, and operations of
+# all closures together, over those of the kept ones, that are worth it.
+_MIN_DOUBTFUL, _MAX_OPERATIONS = 0.01, 5.0
 # A rival whose cost is higher by no more than so many gates is near.
 _NEAR_RIVAL = 2.0
 
@@ -160,8 +163,10 @@ def decide(
     progress = progress or Progress()
     closures = Closures(graph, trusted)
     progress.tell("comparing all loop closures with each other")
-    fit = fit_of_all(closures, start or partial(guess_of, method="chordal"))
-    if fit is not None:
+    start = start or partial(guess_of, method="chordal")
+    allowed = odometry_allows(closures)
+    fit = fit_of_all(closures, start) if allowed else None
+    if fit is not None and len(fit.released) == 0:
         return _decision_of_fit(closures, fit)
     joined = closures.trusted.copy()
     joined[joining_closures(closures)] = True
@@ -181,7 +186,23 @@ def decide(
         if saved < _PRICE_OF_RELEASE * FAR_GATE[graph.dof] or _new_clusters(best, without) < 2:
             break
         best = without
+    if not allowed and not progress.over and _may_all_fit(closures, best):
+        # Perhaps a trusted edge is wrong, and the closures are not.
+        fit = fit_of_all(closures, start)
+    whole = None if fit is None else _decision_of_fit(closures, fit)
+    if whole is not None and whole.cost < best.cost:
+        return whole
     return _decision(best, closures.trusted, progress.over)
+
+
+def _may_all_fit(closures: Closures, best: Hypothesis) -> bool:
+    """Return whether many rejected closures agree, and all together are cheap to optimize."""
+    growth, dof = best.growth, closures.graph.dof
+    doubtful = ~growth.kept & growth.supported
+    if np.count_nonzero(doubtful) <= _MIN_DOUBTFUL * len(closures):
+        return False
+    operations = closures.graph.elimination.operations(dof)
+    return bool(operations <= _MAX_OPERATIONS * growth.map.elimination.operations(dof))
 
 
 def _new_clusters(best: Hypothesis, other: Hypothesis) -> int:
@@ -194,13 +215,16 @@ def _decision_of_fit(closures: Closures, fit: Fit) -> Decision:
     kept, poses = fit.kept, fit.graph.poses
     assert poses is not None
     chi2 = chi2_per_edge(closures.graph, poses)
+    in_map = closures.kept_edges(kept)
+    in_map[fit.released] = False
+    chi2[fit.released] = _PRICE_OF_RELEASE * FAR_GATE[closures.graph.dof]
     return Decision(
-        kept=locked(closures.kept_edges(kept)),
-        closures=locked(table_of_fit(closures, kept, fit.graph)),
+        kept=locked(in_map),
+        closures=locked(table_of_fit(closures, kept, fit.graph, fit.released)),
         cost=cost(closures, kept, chi2),
         scales=fit.scales,
         used=Scales(1.0, 1.0),
-        released=locked(np.empty(0, np.int64)),
+        released=locked(fit.released),
         rival=None,
         poses=locked(poses),
         from_start=True,

@@ -17,7 +17,7 @@ from masat.robust.prediction import agreement, predict, predict_by_odometry
 
 # Likelihood ratios, in logarithms: that of a closure which others support, and how much more one
 # alone needs than the number of such closures, while the map grows and in the end.
-_MIN_RATIO, _ODDS_ALONE, _FINAL_ODDS = 1.0, 3.0, 1.5
+_MIN_RATIO, _ODDS_ALONE, _FINAL_ODDS = 3.0, 3.0, 1.5
 _TOLERANCE, _ITERATIONS, _ROUGH_ITERATIONS = 1e-5, 30, 8
 _MAX_ROUNDS, _MAX_STALLS, _MAX_REFINEMENTS = 100, 8, 5
 # Nodes from an end of a new closure within which predictions are made again at once.
@@ -81,8 +81,12 @@ class Growth:
         """chi2 of each edge of the whole graph at the poses of the map, (m,)."""
         return chi2_per_edge(self._closures.graph, self.poses)
 
-    def grow(self) -> None:
-        """Believe closures until the map predicts no other."""
+    def grow(self, *, thorough: bool = False) -> None:
+        """Believe closures until the map predicts no other.
+
+        In the end, a thorough growth predicts each closure by itself, since the one that spoke for
+        it may be false.
+        """
         fresh = not self.kept.any()
         predicted, stalls = np.zeros_like(self.kept), 0
         for _ in range(_MAX_ROUNDS):
@@ -101,7 +105,10 @@ class Growth:
                 self._predict_runs(self._near(new) & self.supported)
                 fresh = False
             elif fresh or stalls == _MAX_STALLS or not (self.kept & ~predicted).any():
-                break
+                if not thorough:
+                    break
+                thorough = False
+                self._predict(np.flatnonzero(~self.kept & self._borrowed & ~self._hopeless))
             else:
                 stalls += 1
                 # The map has changed, so that what did not fit may do so now.

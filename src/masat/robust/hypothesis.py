@@ -93,7 +93,7 @@ def grown(graph: PoseGraph, trusted: Flags, used: Scales, progress: Progress) ->
     first = growth.distance.copy()
     decided = Decided(growth, cost(closures, growth.kept, growth.chi2), None, np.inf)
     try:
-        growth.grow()
+        growth.grow(thorough=True)
         decided = improve(closures, growth, first, progress)
         decided.growth.finish()
     except KeyboardInterrupt:

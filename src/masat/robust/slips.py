@@ -15,7 +15,7 @@ _MIN_CLUSTERS, _MANY = 2, 50
 # Fraction of the clusters across an edge that have to agree how wrong it is.
 _MIN_AGREEING = 0.5
 # Two corrections are the same if they differ by less than this fraction of them, and this angle.
-_SAME, _SAME_ANGLE = 0.1, 0.02
+_SAME, _SAME_ANGLE = 0.05, 0.02
 
 
 def suspected_slip(closures: Closures, growth: Growth) -> int | None:

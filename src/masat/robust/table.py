@@ -26,6 +26,8 @@ TABLE = np.dtype(
     ]
 )
 
+RELEASED = "trusted, but all closures across it contradict it"
+
 
 def table_of(hypothesis: Hypothesis, trusted: Flags, *, interrupted: bool = False) -> AnyArray:
     """Return the table of a hypothesis: a row for each edge that was not trusted, or no longer is.
@@ -50,7 +52,7 @@ def table_of(hypothesis: Hypothesis, trusted: Flags, *, interrupted: bool = Fals
     judged["reason"] = _reasons(closures, growth, hypothesis.first)
     if interrupted:
         judged["reason"][~kept] = "not judged: the time was over"
-    judged["reason"][trusted[closures.edges]] = "trusted, but all closures across it contradict it"
+    judged["reason"][trusted[closures.edges]] = RELEASED
     joining = _rows(closures, np.flatnonzero(closures.trusted & ~trusted), growth.poses)
     joining["chi2"] *= hypothesis.used.trusted or 1.0
     joining["kept"] = True
@@ -60,7 +62,7 @@ def table_of(hypothesis: Hypothesis, trusted: Flags, *, interrupted: bool = Fals
     return table[np.argsort(table["edge"])]
 
 
-def table_of_fit(closures: Closures, kept: Flags, graph: PoseGraph) -> AnyArray:
+def table_of_fit(closures: Closures, kept: Flags, graph: PoseGraph, released: Ids) -> AnyArray:
     """Return the table where all but a few outliers fit the map that they make."""
     assert graph.poses is not None
     table = _rows(closures, closures.edges, graph.poses)
@@ -72,7 +74,11 @@ def table_of_fit(closures: Closures, kept: Flags, graph: PoseGraph) -> AnyArray:
         table["distance"][outliers], table["log_ratio"][outliers] = predict(
             closures, graph, outliers
         )
-    return table
+    slips = _rows(closures, released, graph.poses)
+    slips["cluster"] = -1
+    slips["reason"] = RELEASED
+    table = np.concatenate([table, slips])
+    return table[np.argsort(table["edge"])]
 
 
 def _reasons(closures: Closures, growth: Growth, first: Floats) -> AnyArray:

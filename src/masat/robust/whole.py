@@ -21,6 +21,8 @@ from masat.robust.redundancy import Redundancy, Scales, redundancy
 # Fraction of the closures that may be outliers of a map that is not in doubt.
 _MAX_OUTLIERS = 0.02
 _MAX_ROUNDS = 3
+# Trusted edges that may be released, and how many times their gate they have to be off.
+_MAX_RELEASED, _FAR = 5, 4.0
 # Closures whose information is off by more, against that of the trusted edges, are judged with
 # another one.
 _MAX_RATIO, _EXACT = 10.0, 1e-6
@@ -47,11 +49,14 @@ class Fit(NamedTuple):
         The map of the trusted edges and these.
     scales : Scales
         The scales of the information.
+    released : ndarray of int64
+        Indices of trusted edges that all others contradict: they are not in the map.
     """
 
     kept: Flags
     graph: PoseGraph
     scales: Scales
+    released: Ids
 
 
 def fit_of_all(closures: Closures, start: Callable[[PoseGraph], PoseGraph]) -> Fit | None:
@@ -59,7 +64,8 @@ def fit_of_all(closures: Closures, start: Callable[[PoseGraph], PoseGraph]) -> F
 
     Each edge is compared with what all others predict, with the information given; where it
     promises too much by a common factor, with the factor that fits. False closures leave
-    contradictions beyond that, even where the optimization has spread them.
+    contradictions beyond that, even where the optimization has spread them. Where a trusted edge is
+    contradicted most of all, and far, it is released.
 
     Parameters
     ----------
@@ -68,32 +74,49 @@ def fit_of_all(closures: Closures, start: Callable[[PoseGraph], PoseGraph]) -> F
     start : callable
         The initial guess.
     """
-    if not odometry_allows(closures):
-        return None
-    graph = start(closures.graph)
-    equations = normal_equations(graph)
-    graph = _optimized(graph, equations)
-    checks = redundancy(graph, equations)
-    trusted = closures.trusted
-    gate = _gates(checks, trusted)
+    whole, trusted = closures.graph, closures.trusted
+    present = np.ones(len(whole.edges), np.bool_)
+    graph = start(whole)
     most = _MAX_OUTLIERS * len(closures)
-    if gate is None or np.count_nonzero(checks.left_out > gate) > most:
-        return None
-    scales = checks.scales(trusted)
-    kept = np.ones(len(closures), np.bool_)
-    chi2 = checks.chi2
-    for _ in range(_MAX_ROUNDS):
-        outliers = kept & (chi2 > gate)[closures.edges]
-        if not outliers.any():
-            return Fit(kept, graph, scales)
-        kept &= ~outliers
-        if np.count_nonzero(~kept) > most:
+    for _ in range(_MAX_RELEASED + 1):
+        equations = normal_equations(graph)
+        graph = _optimized(graph, equations)
+        checks = redundancy(graph, equations)
+        gate = _gates(checks, trusted[present])
+        if gate is None:
             return None
+        worst = int(np.argmax(checks.left_out / gate))
+        edge = int(np.flatnonzero(present)[worst])
+        if not trusted[edge] or checks.left_out[worst] < _FAR * gate[worst]:
+            break
+        present[edge] = False
+        graph = _without(whole, ~present, graph)
+        if graph.components.max() > whole.components.max():
+            return None
+    else:
+        return None
+    if np.count_nonzero(checks.left_out > gate) > most:
+        return None
+    scales = checks.scales(trusted[present])
+    of_edge = np.full(len(present), np.inf)
+    of_edge[present] = gate
+    released = np.flatnonzero(~present)
+    for _ in range(_MAX_ROUNDS):
         assert graph.poses is not None
-        graph = closures.graph_with(kept, graph.poses)
+        outliers = present & ~trusted & (chi2_per_edge(whole, graph.poses) > of_edge)
+        if not outliers.any():
+            return Fit(present[closures.edges], graph, scales, released)
+        present &= ~outliers
+        if np.count_nonzero(~present) > most + len(released):
+            return None
+        graph = _without(whole, ~present, graph)
         graph = _optimized(graph, normal_equations(graph))
-        chi2 = chi2_per_edge(closures.graph, graph.poses)
     return None
+
+
+def _without(whole: PoseGraph, edges: Flags, at: PoseGraph) -> PoseGraph:
+    assert at.poses is not None
+    return whole.without_edges(edges).with_poses(at.poses)
 
 
 def _optimized(graph: PoseGraph, equations: _core.NormalEquations) -> PoseGraph:
