@@ -6,7 +6,6 @@ import pytest
 import masat
 from masat import PoseGraph, lie
 from masat.chain import odometry_edges
-from masat.initializers.chordal import chordal
 from masat.residuals import chi2_per_edge
 from masat.robust import decide
 from masat.robust.closures import Closures
@@ -88,12 +87,12 @@ def test_scales_of_both_kinds_of_edges_are_found(factors):
 @pytest.mark.parametrize("fraction", [0.02, 0.5])
 def test_only_a_clean_graph_fits_as_a_whole(kind, fraction):
     graph = clean()
-    fit = fit_of_all(Closures(graph), chordal)
+    fit = fit_of_all(Closures(graph))
     assert fit is not None
     assert fit.kept.all()
     spoiled, _ = add_false_closures(graph, kind, fraction, seed=1)
     closures = Closures(spoiled)
-    assert not odometry_allows(closures) or fit_of_all(closures, chordal) is None
+    assert not odometry_allows(closures) or fit_of_all(closures) is None
 
 
 def test_an_outlier_of_a_clean_graph_is_rejected():

@@ -13,6 +13,8 @@ from masat.assembly import assemble, checked_support, needs_assembly
 from masat.errors import MasatWarning, OptimizationError
 from masat.graph import PoseGraph
 from masat.initializers import SEARCHES, guess_of, guess_of_assembly
+from masat.initializers.chordal import chordal
+from masat.optimality.best import best_minimum
 from masat.optimality.certificate import certify as certified
 from masat.optimizers import Result, StopReason, check_method, optimize, optimize_assembly
 from masat.optimizers.equations import normal_equations
@@ -21,6 +23,7 @@ from masat.optimizers.termination import Report
 from masat.outliers import Minimum, cannot_be_right, describe_outliers, is_description
 from masat.progress import Progress, ReportStage
 from masat.robust import decide
+from masat.robust.whole import Guess
 
 # Operations that all iterations may take where the map cannot be right: some seconds on one core.
 _MAX_OPERATIONS = 3e10
@@ -132,8 +135,11 @@ def solve(
         # Closures are judged by the edges; priors and landmarks join afterwards.
         relative = rooted.with_priors(None).with_landmarks(None)
         checked_support(relative, "robust")
-        start_of = partial(guess_of, method=init, seed=seed, progress=progress)
-        decision = decide(relative, trusted, start=start_of, progress=progress)
+        begin: Guess = partial(guess_of, method=init, seed=seed, progress=progress)
+        search: Guess | None = None
+        if init == "auto":
+            begin, search = chordal, partial(_lowest, seed=seed, progress=progress)
+        decision = decide(relative, trusted, start=begin, search=search, progress=progress)
         rooted, trusted = rooted.without_edges(~decision.kept), None
     assembly = None
     guess: PoseGraph
@@ -201,6 +207,12 @@ def solve(
         certificate=certificate,
         decision=decision,
     )
+
+
+def _lowest(graph: PoseGraph, seed: int, progress: Progress) -> PoseGraph:
+    """Return a graph at the lowest minimum that is found from its poses."""
+    found = best_minimum(graph, seed=seed, progress=progress)
+    return graph.with_poses(found.poses, notes=found.notes)
 
 
 def _affordable_iterations(graph: PoseGraph) -> int:

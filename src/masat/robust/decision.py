@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from masat.arrays import AnyArray, Flags, Floats, Ids, locked
 from masat.graph import PoseGraph
-from masat.initializers import guess_of
+from masat.initializers.chordal import chordal
 from masat.progress import Progress
 from masat.residuals import chi2_per_edge
 from masat.robust.closures import FAR_GATE, GATE, Closures
@@ -22,13 +20,16 @@ from masat.robust.parts import joining_closures
 from masat.robust.redundancy import Scales
 from masat.robust.slips import suspected_slip
 from masat.robust.table import table_of, table_of_fit
-from masat.robust.whole import Fit, fit_of_all, odometry_allows
+from masat.robust.whole import Fit, Guess, fit_of_all, odometry_allows
 
 # Trusted edges that may be released, and the gates that one has to save.
 _MAX_RELEASED, _PRICE_OF_RELEASE = 5, 2.0
 # Fraction of the closures that has to be in doubt for the trusted edges to be, and operations of
 # all closures together, over those of the kept ones, that are worth it.
 _MIN_DOUBTFUL, _MAX_OPERATIONS = 0.01, 5.0
+# Operations of a factorization above which not all closures are optimized together: false ones can
+# make the system dense.
+_EXPENSIVE = 5e9
 # A rival whose cost is higher by no more than so many gates is near.
 _NEAR_RIVAL = 2.0
 
@@ -127,7 +128,8 @@ def decide(
     graph: PoseGraph,
     trusted: ArrayLike | None = None,
     *,
-    start: Callable[[PoseGraph], PoseGraph] | None = None,
+    start: Guess = chordal,
+    search: Guess | None = None,
     progress: Progress | None = None,
 ) -> Decision:
     """Decide which loop closures of a graph to believe.
@@ -147,7 +149,8 @@ def decide(
         Parts that they leave unconnected are joined by the closures that agree with most others.
     start : callable, optional
         The initial guess of all edges, where the trusted ones do not contradict the others.
-        Default: "chordal".
+    search : callable, optional
+        From a minimum in which all edges fit to a lower one, if there is one. Default: no search.
     progress : Progress, optional
         What reports the stages and limits the time.
 
@@ -163,9 +166,9 @@ def decide(
     progress = progress or Progress()
     closures = Closures(graph, trusted)
     progress.tell("comparing all loop closures with each other")
-    start = start or partial(guess_of, method="chordal")
+    cheap = closures.graph.elimination.operations(graph.dof) < _EXPENSIVE
     allowed = odometry_allows(closures)
-    fit = fit_of_all(closures, start) if allowed else None
+    fit = fit_of_all(closures, start, search) if allowed and cheap else None
     if fit is not None and len(fit.released) == 0:
         return _decision_of_fit(closures, fit)
     joined = closures.trusted.copy()
@@ -188,7 +191,7 @@ def decide(
         best = without
     if not allowed and not progress.over and _may_all_fit(closures, best):
         # Perhaps a trusted edge is wrong, and the closures are not.
-        fit = fit_of_all(closures, start)
+        fit = fit_of_all(closures)
     whole = None if fit is None else _decision_of_fit(closures, fit)
     if whole is not None and whole.cost < best.cost:
         return whole

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from masat import _core
 from masat.arrays import Flags, Floats, Ids
 from masat.graph import PoseGraph
 from masat.initializers import guess_of
+from masat.initializers.chordal import chordal
 from masat.optimizers import optimize
 from masat.optimizers.equations import normal_equations
 from masat.residuals import chi2_per_edge
@@ -38,6 +39,10 @@ _MAX_DISAGREEING, _MAX_DRIFT = 0.05, 10.0
 _TOLERANCE, _ITERATIONS = 1e-6, 30
 
 
+Guess: TypeAlias = Callable[[PoseGraph], PoseGraph]
+"""From a graph to one with poses."""
+
+
 class Fit(NamedTuple):
     """A map in which all closures fit but for a few outliers.
 
@@ -59,7 +64,9 @@ class Fit(NamedTuple):
     released: Ids
 
 
-def fit_of_all(closures: Closures, start: Callable[[PoseGraph], PoseGraph]) -> Fit | None:
+def fit_of_all(
+    closures: Closures, start: Guess = chordal, search: Guess | None = None
+) -> Fit | None:
     """Return the map of all closures, if all but a few fit together; else None.
 
     Each edge is compared with what all others predict, with the information given; where it
@@ -73,6 +80,8 @@ def fit_of_all(closures: Closures, start: Callable[[PoseGraph], PoseGraph]) -> F
         The closures.
     start : callable
         The initial guess.
+    search : callable, optional
+        From a minimum in which all edges fit to a lower one, if there is one.
     """
     whole, trusted = closures.graph, closures.trusted
     present = np.ones(len(whole.edges), np.bool_)
@@ -97,6 +106,8 @@ def fit_of_all(closures: Closures, start: Callable[[PoseGraph], PoseGraph]) -> F
         return None
     if np.count_nonzero(checks.left_out > gate) > most:
         return None
+    if search is not None:
+        graph = search(graph)
     scales = checks.scales(trusted[present])
     of_edge = np.full(len(present), np.inf)
     of_edge[present] = gate
