@@ -270,3 +270,17 @@ def test_covariances_near_singularity_are_right_or_doubted():
         assert found == pytest.approx(1 / weight, rel=0.1)
     with pytest.raises(OptimizationError, match="do not determine its pose"):
         masat.covariances(two_triangles(1e-16), [4])
+
+
+def test_covariances_do_not_depend_on_the_threads():
+    graph = masat.solve(masat.worlds.perturb(masat.worlds.sphere(300, seed=1), [0.05] * 6)).graph
+    rng = np.random.default_rng(0)
+    rows, columns = rng.integers(len(graph) - 1, size=(2, 500)).astype(np.int32)
+    found = []
+    for threads in (1, 2, 3):
+        equations = normal_equations(graph, threads)
+        equations.linearize(graph.poses)
+        assert equations.factorize(np.zeros_like(equations.rhs())) < 0
+        found.append(equations.inverse(rows, columns))
+    assert np.array_equal(found[0], found[1])
+    assert np.array_equal(found[0], found[2])

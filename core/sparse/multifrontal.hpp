@@ -39,6 +39,8 @@ class Multifrontal {
   // them side by side, either one or as many as the kernels' `width`; further groups follow.
   void solve(std::span<double> x, int width) const;
 
+  int threads() const { return pool_.threads(); }
+
   // A front of the factor, without its contribution block, which is not kept.
   Front front(std::int32_t f) const { return layout_.front(f, factor_.data()); }
 

@@ -3,12 +3,14 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
+#include <deque>
 #include <functional>
 #include <utility>
 #include <vector>
 
 #include "interrupt.hpp"
 #include "sparse/aligned_buffer.hpp"
+#include "sparse/worker_pool.hpp"
 
 namespace masat {
 namespace {
@@ -21,11 +23,17 @@ using Rows = Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Ei
 // Columns that are solved for together: neighbors in the elimination order share most of their
 // paths to the root, and the kernels need several columns to be fast.
 constexpr int kBatch = 24;
+constexpr int kBatchesAtOnce = 8;  // and thread
 
 // A block of the inverse, by indices in the elimination order.
 struct Wanted {
   std::int32_t row, column;
   double* out;
+};
+
+// Wanted blocks whose columns are solved for together.
+struct Batch {
+  const Wanted *begin, *end;
 };
 
 class Inverter {
@@ -44,7 +52,7 @@ class Inverter {
   }
 
   void invert_fronts(std::vector<Wanted> wanted);
-  void solve_columns(std::vector<Wanted> wanted);
+  void solve_columns(std::vector<Wanted> wanted, int threads);
 
  private:
   Factor l11(const Front& f) const { return {f.l11, f.pivots, f.pivots, {f.ld11}}; }
@@ -61,6 +69,9 @@ class Inverter {
 
   void invert_front(std::int32_t f, const Square* parent, Square& inverse) const;
   void climb(std::int32_t f, std::vector<bool>& seen, std::vector<std::int32_t>& path) const;
+  struct Workspace;
+  template <class Source>
+  void solve_batch(const Batch& batch, const Source& source, Workspace& space) const;
   void forward(std::int32_t f, Rows& x, Rows& below) const;
   void backward(std::int32_t f, Rows& x, Rows& below) const;
 
@@ -151,7 +162,23 @@ void Inverter::climb(std::int32_t f, std::vector<bool>& seen,
   }
 }
 
-void Inverter::solve_columns(std::vector<Wanted> wanted) {
+// What a thread needs to solve for a batch of columns.
+struct Inverter::Workspace {
+  Workspace(std::int64_t size, std::int64_t widest, std::int64_t columns, std::int32_t fronts)
+      : x_store(size * columns, 0.0),
+        below_store(widest * columns),
+        x(x_store.data(), size, columns),
+        below(below_store.data(), widest, columns),
+        up(fronts, false),
+        down(fronts, false) {}
+
+  std::vector<double> x_store, below_store;
+  Rows x, below;  // x is zero between two batches
+  std::vector<bool> up, down;
+  std::vector<std::int32_t> rising, falling;
+};
+
+void Inverter::solve_columns(std::vector<Wanted> wanted, int threads) {
   // Of a pair of nodes, solve for the one that occurs in more pairs.
   std::vector<std::int32_t> uses(tree_.order.size(), 0);
   for (const Wanted& w : wanted) {
@@ -163,64 +190,75 @@ void Inverter::solve_columns(std::vector<Wanted> wanted) {
   };
   std::sort(wanted.begin(), wanted.end(),
             [&](const Wanted& a, const Wanted& b) { return source(a) < source(b); });
+  const std::int64_t nodes = std::min<std::int64_t>(std::max(1, kBatch / d_), wanted.size());
+  std::vector<Batch> batches;
+  for (std::size_t k = 0, used = nodes; k < wanted.size(); ++k) {
+    const bool is_new = k == 0 || source(wanted[k]) != source(wanted[k - 1]);
+    if (is_new && used == std::size_t(nodes)) {
+      batches.push_back({&wanted[k], &wanted[k]});
+      used = 0;
+    }
+    used += is_new;
+    batches.back().end = &wanted[k] + 1;
+  }
 
   std::int64_t widest = 0;
   for (std::int32_t f = 0; f < tree_.fronts(); ++f) {
     widest = std::max<std::int64_t>(widest, layout_.shape(f).rows);
   }
-  const std::int64_t columns = std::max(1, kBatch / d_) * d_, size = tree_.order.size() * d_;
-  std::vector<double> x_store(size * columns, 0.0), below_store(widest * columns);
-  Rows x(x_store.data(), size, columns), below(below_store.data(), widest, columns);
-  std::vector<bool> up(tree_.fronts(), false), down(tree_.fronts(), false);
-  std::vector<std::int32_t> rising, falling;
-  InterruptPoll poll;
-  const auto operations = [&](std::int32_t f) {
-    return double(layout_.shape(f).pivots) * (layout_.shape(f).pivots + layout_.shape(f).rows) *
-           columns;
-  };
-  for (auto next = wanted.begin(), end = next; next != wanted.end(); next = end) {
-    rising.clear();
-    falling.clear();
-    std::int64_t used = 0;
-    for (std::int32_t last = -1; end != wanted.end(); ++end) {
-      const std::int32_t column = source(*end);
-      if (column != last) {
-        if (used == columns) break;
-        x.block(std::int64_t{column} * d_, used, d_, d_).setIdentity();
-        climb(front_of(column), up, rising);
-        used += d_;
-        last = column;
-      }
-      climb(front_of(end->row + end->column - column), down, falling);
+  threads = std::clamp<int>(threads, 1, static_cast<int>(batches.size()));
+  std::deque<Workspace> spaces;
+  for (int rank = 0; rank < threads; ++rank) {
+    spaces.emplace_back(tree_.order.size() * d_, widest, nodes * d_, tree_.fronts());
+  }
+  WorkerPool pool(threads);
+  const WorkerPool::Session session(pool);
+  // A few batches at a time, between which Ctrl-C is noticed.
+  const auto count = static_cast<std::int32_t>(batches.size()), step = kBatchesAtOnce * threads;
+  for (std::int32_t first = 0; first < count; first += step) {
+    check_interrupt();
+    pool.for_each(std::min(step, count - first), [&](std::int32_t k, int rank) {
+      solve_batch(batches[first + k], source, spaces[rank]);
+    });
+  }
+}
+
+template <class Source>
+void Inverter::solve_batch(const Batch& batch, const Source& source, Workspace& space) const {
+  Rows& x = space.x;
+  space.rising.clear();
+  space.falling.clear();
+  std::int64_t at = -d_;
+  for (const Wanted* w = batch.begin; w != batch.end; ++w) {
+    const std::int32_t column = source(*w);
+    if (w == batch.begin || column != source(w[-1])) {
+      at += d_;
+      x.block(std::int64_t{column} * d_, at, d_, d_).setIdentity();
+      climb(front_of(column), space.up, space.rising);
     }
-    std::sort(rising.begin(), rising.end());
-    std::sort(falling.begin(), falling.end(), std::greater<>());
-    for (const std::int32_t f : rising) {
-      poll.add(operations(f));
-      forward(f, x, below);
+    climb(front_of(w->row + w->column - column), space.down, space.falling);
+  }
+  std::sort(space.rising.begin(), space.rising.end());
+  std::sort(space.falling.begin(), space.falling.end(), std::greater<>());
+  for (const std::int32_t f : space.rising) forward(f, x, space.below);
+  for (const std::int32_t f : space.falling) backward(f, x, space.below);
+  at = -d_;
+  for (const Wanted* w = batch.begin; w != batch.end; ++w) {
+    const std::int32_t column = source(*w);
+    if (w == batch.begin || column != source(w[-1])) at += d_;
+    const std::int64_t row = std::int64_t{w->row} + w->column - column;
+    const auto solved = x.block(row * d_, at, d_, d_);
+    if (w->column != column) {
+      Rows(w->out, d_, d_) = solved.transpose();
+    } else {
+      Rows(w->out, d_, d_) = solved;
     }
-    for (const std::int32_t f : falling) {
-      poll.add(operations(f));
-      backward(f, x, below);
-    }
-    std::int64_t at = -d_;
-    for (std::int32_t last = -1; next != end; ++next) {
-      const std::int32_t column = source(*next);
-      if (column != last) at += d_;
-      last = column;
-      const std::int64_t row = std::int64_t{next->row} + next->column - column;
-      const auto solved = x.block(row * d_, at, d_, d_);
-      if (next->column != column) {
-        Rows(next->out, d_, d_) = solved.transpose();
-      } else {
-        Rows(next->out, d_, d_) = solved;
-      }
-    }
-    for (const auto& [path, seen] : {std::pair{&rising, &up}, std::pair{&falling, &down}}) {
-      for (const std::int32_t f : *path) {
-        (*seen)[f] = false;
-        x.middleRows(layout_.first(f), layout_.shape(f).pivots).setZero();
-      }
+  }
+  for (const auto& [path, seen] :
+       {std::pair{&space.rising, &space.up}, std::pair{&space.falling, &space.down}}) {
+    for (const std::int32_t f : *path) {
+      (*seen)[f] = false;
+      x.middleRows(layout_.first(f), layout_.shape(f).pivots).setZero();
     }
   }
 }
@@ -264,7 +302,7 @@ void invert_blocks(const FrontLayout& layout, const Multifrontal& factor,
     (inverter.in_pattern(wanted) ? inside : outside).push_back(wanted);
   }
   if (!inside.empty()) inverter.invert_fronts(std::move(inside));
-  if (!outside.empty()) inverter.solve_columns(std::move(outside));
+  if (!outside.empty()) inverter.solve_columns(std::move(outside), factor.threads());
 }
 
 }  // namespace masat

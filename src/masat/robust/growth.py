@@ -81,11 +81,16 @@ class Growth:
         """chi2 of each edge of the whole graph at the poses of the map, (m,)."""
         return chi2_per_edge(self._closures.graph, self.poses)
 
-    def grow(self, *, thorough: bool = False) -> None:
+    def grow(self, *, everywhere: bool = True, thorough: bool = False) -> None:
         """Believe closures until the map predicts no other.
 
-        In the end, a thorough growth predicts each closure by itself, since the one that spoke for
-        it may be false.
+        Parameters
+        ----------
+        everywhere : bool
+            Whether to predict all closures again where nothing is likely near the last ones.
+        thorough : bool
+            Whether to predict each closure by itself in the end, since the one that spoke for it
+            may be false.
         """
         fresh = not self.kept.any()
         predicted, stalls = np.zeros_like(self.kept), 0
@@ -104,6 +109,8 @@ class Growth:
                 self.believe(new)
                 self._predict_runs(self._near(new) & self.supported)
                 fresh = False
+            elif not everywhere:
+                break
             elif fresh or stalls == _MAX_STALLS or not (self.kept & ~predicted).any():
                 if not thorough:
                     break

@@ -93,6 +93,8 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
             continue
         found = cost(closures, trial.kept, trial.chi2)
         if found < best.cost * (1 - _LOWER):
+            trial.grow()
+            found = cost(closures, trial.kept, trial.chi2)
             gain = best.cost - found
             # Its rival is the map that it replaces, unless that came from the same mistake.
             best = Decided(trial, found, best.growth.kept, best.cost)
@@ -107,7 +109,7 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
 
 def _made(closures: Closures, best: Decided, move: Move, progress: Progress) -> Growth | None:
     """Return the map after a move, grown if that can pay; None if it is not worth a look."""
-    growth = best.growth
+    growth, few = best.growth, len(closures) <= _FEW
     members = np.flatnonzero((growth.spokesman == move.group) & (growth.kept != move.into))
     progress.tell(f"trying {len(members)} loop closures {'in' if move.into else 'out'}")
     trial = growth.copy()
@@ -117,7 +119,7 @@ def _made(closures: Closures, best: Decided, move: Move, progress: Progress) -> 
         excess = cost(closures, trial.kept, trial.chi2) - best.cost
         if excess > of_run(closures, len(members)):
             return None
-        trial.grow()
+        trial.grow(everywhere=few)
         # A closure that only pays for itself may be false: others have to follow.
         others = int(trial.kept.sum()) - before - len(members)
         return trial if len(members) > 1 or others > 0 or not rejected.any() else None
@@ -125,7 +127,7 @@ def _made(closures: Closures, best: Decided, move: Move, progress: Progress) -> 
         return None
     trial.disbelieve(members)
     if trial.count_likely() > len(members):
-        trial.grow()
+        trial.grow(everywhere=few)
     return trial
 
 

@@ -88,8 +88,11 @@ def _reasons(closures: Closures, growth: Growth, first: Floats) -> AnyArray:
     rejected = ~growth.kept
     within = growth.distance < gate
     reasons[rejected] = "contradicts the trusted edges"
-    for k in np.flatnonzero(rejected & (first < gate)).tolist():
-        reasons[k] = _rival(closures, growth, k)
+    allowed = np.flatnonzero(rejected & (first < gate))
+    # Closures of a group have one rival.
+    _, one, group = np.unique(growth.spokesman[allowed], return_index=True, return_inverse=True)
+    rivals = np.array([_rival(closures, growth, k) for k in allowed[one].tolist()], "U60")
+    reasons[allowed] = rivals[group]
     reasons[rejected & within] = "undecided: as likely false as true"
     reasons[rejected & within & ~growth.supported] = "unsupported: no other closure agrees with it"
     return reasons
