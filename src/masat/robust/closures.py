@@ -19,6 +19,8 @@ REACH = 10
 # freedom.
 GATE = {3: 16.27, 6: 22.46}
 FAR_GATE = {3: 25.90, 6: 33.11}
+# So few closures or nodes are few.
+_FEW = 200
 # Lower quartile of chi2.
 QUARTILE = {3: 1.213, 6: 3.455}
 
@@ -65,6 +67,11 @@ class Closures:
 
     def __len__(self) -> int:
         return len(self.edges)
+
+    @property
+    def few(self) -> bool:
+        """Whether each closure matters, or the graph is small, so that more trials are made."""
+        return len(self) <= _FEW or len(self.graph) <= _FEW
 
     def kept_edges(self, kept: Flags) -> Flags:
         """Return the trusted edges and the kept closures, (m,)."""

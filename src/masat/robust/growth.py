@@ -26,6 +26,8 @@ NEAR = 5 * REACH
 _MAX_LOST = 0.3
 # So small a fraction of the kept closures is believed in one round.
 _FEW = 0.15
+# Fraction of new closures below which the map predicts what it did before.
+_NEXT_TO_NONE = 0.005
 # Squared distances beyond this many gates are not looked at again until nothing else is left.
 _HOPELESS = 100.0
 # Gates within which a group has to be for its members to be predicted one by one.
@@ -111,7 +113,7 @@ class Growth:
                 fresh = False
             elif not everywhere:
                 break
-            elif fresh or stalls == _MAX_STALLS or not (self.kept & ~predicted).any():
+            elif fresh or stalls == _MAX_STALLS or self._is_like(predicted):
                 if not thorough:
                     break
                 thorough = False
@@ -159,7 +161,10 @@ class Growth:
 
     def count_likely(self) -> int:
         """Return how many of the closures that agree with others the map would now believe."""
-        self._predict(np.flatnonzero(self.candidates))
+        if self._closures.few:
+            self._predict(np.flatnonzero(self.candidates))
+        else:
+            self._predict_runs(self.candidates)
         return len(self._likely())
 
     @property
@@ -168,18 +173,11 @@ class Growth:
         return ~self.kept & ~self.banned & self.supported & ~self._hopeless
 
     def finish(self) -> None:
-        """Predict the closures that are not kept, and believe the likely ones among them."""
-        self._predict_plausible()
-        likely = self._likely(_FINAL_ODDS)
+        """Believe what is likely now that no other closure can follow."""
+        likely = self._confirmed(self._likely(_FINAL_ODDS), _FINAL_ODDS)
         if len(likely):
             self.believe(likely)
             self._refine()
-            self._predict_plausible()
-
-    def _predict_plausible(self) -> None:
-        """Predict one closure for each few, and all of the groups that nearly fit."""
-        self._predict_runs(~self.kept & ~self._hopeless)
-        self._predict(np.flatnonzero(~self.kept & self._borrowed & self._near_gate))
 
     @property
     def _hopeless(self) -> Flags:
@@ -209,13 +207,19 @@ class Growth:
         likely = np.flatnonzero(free & within & (self.log_ratio > needed))
         return likely[np.argsort(-self.log_ratio[likely], kind="stable")]
 
-    def _confirmed(self, likely: Ids) -> Ids:
+    def _is_like(self, kept: Flags) -> bool:
+        """Return whether next to no closure is kept that was not kept before."""
+        new = int(np.count_nonzero(self.kept & ~kept))
+        limit = 0.0 if self._closures.few else _NEXT_TO_NONE
+        return bool(new <= limit * np.count_nonzero(self.kept))
+
+    def _confirmed(self, likely: Ids, odds: float = _ODDS_ALONE) -> Ids:
         """Return those that are likely also by a prediction of their own."""
         borrowed = likely[self._borrowed[likely]]
         if len(borrowed) == 0:
             return likely
         self._predict(borrowed)
-        return likely[np.isin(likely, self._likely())]
+        return likely[np.isin(likely, self._likely(odds))]
 
     def _near(self, new: Ids) -> Flags:
         """Return the closures near new ones that are not hopeless, (c,)."""

@@ -16,7 +16,7 @@ from masat.robust.objective import cost, of_run
 # Trials after which no other is made: of adding and of taking out; where closures are few, each
 # counts, and a trial costs little.
 _MAX_TRIALS = {True: 3, False: 3}
-_MAX_TRIALS_OF_FEW, _FEW = {True: 8, False: 4}, 200
+_MAX_TRIALS_OF_FEW = {True: 8, False: 4}
 # It takes as many plausible closures that are rejected to doubt kept ones.
 _MIN_BLOCKED = 5
 # Squared distance, in prices of a group, beyond which adding it is not tried; and in gates, beyond
@@ -79,7 +79,7 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
     """
     best = Decided(growth, cost(closures, growth.kept, growth.chi2), None, np.inf)
     tried: set[Move] = set()
-    limits = _MAX_TRIALS_OF_FEW if len(closures) <= _FEW else _MAX_TRIALS
+    limits = _MAX_TRIALS_OF_FEW if closures.few else _MAX_TRIALS
     left = dict(limits)
     while not progress.over:
         open_moves = (move for move in _moves(closures, best.growth, first) if move not in tried)
@@ -109,7 +109,7 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
 
 def _made(closures: Closures, best: Decided, move: Move, progress: Progress) -> Growth | None:
     """Return the map after a move, grown if that can pay; None if it is not worth a look."""
-    growth, few = best.growth, len(closures) <= _FEW
+    growth, few = best.growth, closures.few
     members = np.flatnonzero((growth.spokesman == move.group) & (growth.kept != move.into))
     progress.tell(f"trying {len(members)} loop closures {'in' if move.into else 'out'}")
     trial = growth.copy()
