@@ -86,10 +86,19 @@ class Closures:
     @cached_property
     def pairs(self) -> Ids:
         """Pairs of closures of one place, (p, 2)."""
+        return self._pairs(len(self))
+
+    @cached_property
+    def some_pairs(self) -> Ids:
+        """One or two pairs of one place for each closure that has any, (p, 2)."""
+        return self._pairs(3)
+
+    def _pairs(self, lags: int) -> Ids:
+        """Return the pairs that are less than so many lags apart in the order of the ends."""
         order = np.lexsort((self.ends[:, 1], self.ends[:, 0]))
         first, second = self.ends[order].T
         found = [np.empty((0, 2), np.int64)]
-        for lag in range(1, len(order)):
+        for lag in range(1, min(lags, len(order))):
             near = first[lag:] - first[:-lag] <= REACH
             if not near.any():
                 break

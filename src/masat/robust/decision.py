@@ -64,7 +64,7 @@ class Decision:
         Mahalanobis distance from the prediction, with the information as it was judged; for
         closures far beyond the gate that of a map on the way, or of one that agrees with them),
         `log_ratio` (logarithm of the likelihood ratio against a false closure), both NaN for kept
-        ones, `cluster` (closures of one place that agree), `reason`.
+        ones, `cluster` (closures of one place that agree; -1 where nothing was compared), `reason`.
     cost : float
         chi2 of the trusted edges and of the kept closures, with the information as it was judged,
         and the price of the rejected ones (`masat.robust.objective`).
@@ -167,8 +167,8 @@ def decide(
     closures = Closures(graph, trusted)
     progress.tell("comparing all loop closures with each other")
     cheap = closures.graph.elimination.operations(graph.dof) < _EXPENSIVE
-    allowed = odometry_allows(closures)
-    fit = fit_of_all(closures, start, search) if allowed and cheap else None
+    scale = odometry_allows(closures)
+    fit = fit_of_all(closures, scale, start, search) if scale is not None and cheap else None
     if fit is not None and len(fit.released) == 0:
         return _decision_of_fit(closures, fit)
     joined = closures.trusted.copy()
@@ -189,7 +189,7 @@ def decide(
         if saved < _PRICE_OF_RELEASE * FAR_GATE[graph.dof] or _new_clusters(best, without) < 2:
             break
         best = without
-    if not allowed and not progress.over and _may_all_fit(closures, best):
+    if scale is None and not progress.over and _may_all_fit(closures, best):
         # Perhaps a trusted edge is wrong, and the closures are not.
         fit = fit_of_all(closures)
     whole = None if fit is None else _decision_of_fit(closures, fit)

@@ -25,7 +25,7 @@ NEAR = 5 * REACH
 # A group of new closures is dropped if more than this fraction of it has to be.
 _MAX_LOST = 0.3
 # So small a fraction of the kept closures is believed in one round.
-_FEW = 0.15
+_FEW = 0.35
 # Fraction of new closures below which the map predicts what it did before.
 _NEXT_TO_NONE = 0.005
 # Squared distances beyond this many gates are not looked at again until nothing else is left.

@@ -67,7 +67,7 @@ def table_of_fit(closures: Closures, kept: Flags, graph: PoseGraph, released: Id
     assert graph.poses is not None
     table = _rows(closures, closures.edges, graph.poses)
     table["kept"] = kept
-    table["cluster"] = closures.clusters
+    table["cluster"] = -1
     table["reason"] = np.where(kept, "kept", "contradicts the rest of the map")
     outliers = np.flatnonzero(~kept)
     if len(outliers):

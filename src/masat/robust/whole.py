@@ -27,8 +27,9 @@ _MAX_RELEASED, _FAR = 5, 4.0
 # Closures whose information is off by more, against that of the trusted edges, are judged with
 # another one.
 _MAX_RATIO, _EXACT = 10.0, 1e-6
-# Factor by which all information may be too large, and by which it may be off where nothing tells.
-_MAX_PROMISE = 50.0
+# Factor by which information may be too large beyond what pairs of one place tell, and by which it
+# may be off where nothing tells.
+_MAX_EXCESS = 4.0
 _UNKNOWN = 4.0
 # Closures and pairs that are looked at before anything is optimized.
 _SAMPLE, _MIN_PAIRS = 2000, 10
@@ -36,7 +37,7 @@ _SAMPLE, _MIN_PAIRS = 2000, 10
 _CAUTIOUS = 4.0
 # Fraction of the pairs that may disagree, and gates that drift may take a true closure away.
 _MAX_DISAGREEING, _MAX_DRIFT = 0.05, 10.0
-_TOLERANCE, _ITERATIONS = 1e-6, 30
+_TOLERANCE, _ITERATIONS = 1e-4, 30
 
 
 Guess: TypeAlias = Callable[[PoseGraph], PoseGraph]
@@ -65,7 +66,7 @@ class Fit(NamedTuple):
 
 
 def fit_of_all(
-    closures: Closures, start: Guess = chordal, search: Guess | None = None
+    closures: Closures, scale: float = 1.0, start: Guess = chordal, search: Guess | None = None
 ) -> Fit | None:
     """Return the map of all closures, if all but a few fit together; else None.
 
@@ -78,6 +79,8 @@ def fit_of_all(
     ----------
     closures : Closures
         The closures.
+    scale : float
+        A rough factor by which all information may be too large.
     start : callable
         The initial guess.
     search : callable, optional
@@ -91,7 +94,7 @@ def fit_of_all(
         equations = normal_equations(graph)
         graph = _optimized(graph, equations)
         checks = redundancy(graph, equations)
-        gate = _gates(checks, trusted[present])
+        gate = _gates(checks, trusted[present], scale)
         if gate is None:
             return None
         worst = int(np.argmax(checks.left_out / gate))
@@ -140,34 +143,37 @@ def _optimized(graph: PoseGraph, equations: _core.NormalEquations) -> PoseGraph:
     ).graph
 
 
-def odometry_allows(closures: Closures) -> bool:
-    """Return whether the trusted edges alone contradict next to none of the closures.
+def odometry_allows(closures: Closures) -> float | None:
+    """Return a scale if the trusted edges alone contradict next to none of the closures; else None.
 
     Some thousand closures are looked at. True ones lie within a few gates even where drift is
-    large; where pairs of one place agree only to a factor, the gate is wider by it.
+    large; where pairs of one place agree only to a factor, the gate is wider by it. This factor is
+    the scale, at least 1, within which all information may be too large.
     """
     graph = closures.graph
     dof = graph.dof
     trusted = guess_of(graph.without_edges(~closures.trusted), "odometry")
     assert trusted.poses is not None
-    pairs = _some(closures.pairs)
+    pairs = _some(closures.some_pairs)
     scale = 1.0
     if len(pairs) >= _MIN_PAIRS:
         between = agreement(closures, trusted.poses, pairs)
         scale = max(1.0, _CAUTIOUS * float(np.quantile(between, 0.25)) / QUARTILE[dof])
         if np.mean(between > GATE[dof] * scale) > _MAX_DISAGREEING:
-            return False
+            return None
     chosen = _some(np.arange(len(closures)))
     distance = predict_by_odometry(closures, trusted, chosen).distance
     contradicted = distance > _MAX_DRIFT * GATE[dof] * scale
-    return int(np.count_nonzero(contradicted)) <= _MAX_OUTLIERS / 2 * len(chosen)
+    if np.count_nonzero(contradicted) > _MAX_OUTLIERS / 2 * len(chosen):
+        return None
+    return scale
 
 
 def _some(rows: Ids) -> Ids:
     return rows[:: max(1, len(rows) // _SAMPLE)]
 
 
-def _gates(checks: Redundancy, trusted: Flags) -> Floats | None:
+def _gates(checks: Redundancy, trusted: Flags, scale: float) -> Floats | None:
     """Return the chi2 that each edge may have, (m,), or None if the scales contradict."""
     gate = FAR_GATE[checks.dof]
     scales = checks.scales(trusted)
@@ -176,7 +182,7 @@ def _gates(checks: Redundancy, trusted: Flags) -> Floats | None:
         exact = checks.left_out.max(initial=0.0) < _EXACT * gate
         if not exact and not 1 / _MAX_RATIO < ratio < _MAX_RATIO:
             return None
-    if max(scale or 1.0 for scale in scales) > _MAX_PROMISE:
+    if max(found or 1.0 for found in scales) > _MAX_EXCESS * scale:
         return None
-    of_trusted, of_closures = (max(1.0, scale or _UNKNOWN) for scale in scales)
+    of_trusted, of_closures = (max(1.0, found or _UNKNOWN) for found in scales)
     return gate * np.where(trusted, of_trusted, of_closures)
