@@ -149,3 +149,15 @@ def test_a_rival_is_told():
     decision = decide(graph)
     assert decision.closures["kept"].sum() <= 1
     assert masat.solve(graph, robust=True).decision.to_dict()["closures"] == 2
+
+
+def test_fixed_nodes_that_contradict_odometry_are_told():
+    graph = clean()
+    poses = graph.poses.copy()
+    poses[300, :2] += 500.0
+    far = PoseGraph.from_arrays(
+        graph.edges, graph.measurements, graph.information, poses=poses, fixed=[0, 300]
+    )
+    with pytest.warns(masat.MasatWarning, match="contradict the fixed nodes"):
+        result = masat.solve(far, robust=True)
+    assert "contradict the fixed nodes" in result.graph.notes[-1]

@@ -197,6 +197,11 @@ def solve(
         notes = [note for note in guess.notes if not is_description(note)]
         notes += describe_outliers(result.graph, known)
         result = replace(result, graph=replace(result.graph, notes=tuple(notes)))
+    if decision is not None:
+        # What was decided is not to be doubted in words that suggest to decide it.
+        notes = [note for note in result.graph.notes if not is_description(note)]
+        notes += decision.notes
+        result = replace(result, graph=replace(result.graph, notes=tuple(notes)))
     for note in result.graph.notes:
         if note not in graph.notes:
             warnings.warn(note, MasatWarning, stacklevel=2)

@@ -30,6 +30,8 @@ _MIN_DOUBTFUL, _MAX_OPERATIONS = 0.01, 5.0
 # Operations of a factorization above which not all closures are optimized together: false ones can
 # make the system dense.
 _EXPENSIVE = 5e9
+# Gates by which chi2 of the trusted edges alone may exceed what is expected.
+_CONTRADICTION = 4.0
 # A rival whose cost is higher by no more than so many gates is near.
 _NEAR_RIVAL = 2.0
 
@@ -81,6 +83,8 @@ class Decision:
         The map of the decision, near its minimum.
     from_start : bool
         Whether these poses come from the initial guess of all edges.
+    notes : tuple of str
+        What else the user should know.
     """
 
     kept: Flags
@@ -92,6 +96,7 @@ class Decision:
     rival: Rival | None
     poses: Floats
     from_start: bool = False
+    notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         believed = int(self.closures["kept"].sum())
@@ -246,6 +251,22 @@ def _decision(best: Hypothesis, trusted: Flags, interrupted: bool) -> Decision:
         released=locked(np.flatnonzero(trusted & ~kept)),
         rival=_rival(best),
         poses=locked(growth.poses),
+        notes=_notes(best),
+    )
+
+
+def _notes(best: Hypothesis) -> tuple[str, ...]:
+    """Say so if the trusted edges alone contradict each other, or the fixed nodes."""
+    graph, dof = best.closures.graph, best.closures.graph.dof
+    trusted = int(best.closures.trusted.sum())
+    redundant = dof * (trusted - (len(graph) - len(graph.gauge)))
+    expected = max(redundant, 0) + _CONTRADICTION * FAR_GATE[dof]
+    if best.alone <= expected:
+        return ()
+    cause = "the fixed nodes, whose poses may be wrong" if len(graph.fixed) > 1 else "each other"
+    return (
+        f"the trusted edges alone contradict {cause} (chi2 {best.alone:.3g}, where "
+        f"{max(redundant, 0)} is expected): closures cannot be judged well against them",
     )
 
 

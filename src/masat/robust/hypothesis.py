@@ -43,6 +43,8 @@ class Hypothesis:
         Squared distances of the closures from what the trusted edges alone predict.
     checks : Redundancy
         What the edges of the map say of each other.
+    alone : float
+        chi2 of the trusted edges in a map of their own.
     """
 
     closures: Closures
@@ -50,6 +52,7 @@ class Hypothesis:
     decided: Decided
     first: Floats
     checks: Redundancy
+    alone: float
 
     @property
     def growth(self) -> Growth:
@@ -90,7 +93,7 @@ def grown(graph: PoseGraph, trusted: Flags, used: Scales, progress: Progress) ->
         graph = replace(graph, information=graph.information / factors[:, None, None])
     closures = Closures(graph, trusted)
     growth = Growth(closures, progress)
-    first = growth.distance.copy()
+    first, alone = growth.distance.copy(), growth.map.chi2
     decided = Decided(growth, cost(closures, growth.kept, growth.chi2), None, np.inf)
     try:
         growth.grow(thorough=True)
@@ -100,7 +103,9 @@ def grown(graph: PoseGraph, trusted: Flags, used: Scales, progress: Progress) ->
         progress.interrupt()
     growth = decided.growth
     decided = decided._replace(cost=cost(closures, growth.kept, growth.chi2))
-    return Hypothesis(closures, used, decided, first, redundancy(growth.map, growth.equations))
+    return Hypothesis(
+        closures, used, decided, first, redundancy(growth.map, growth.equations), alone
+    )
 
 
 def best_scaled(graph: PoseGraph, trusted: Flags, progress: Progress) -> Hypothesis:

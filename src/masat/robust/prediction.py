@@ -93,7 +93,8 @@ def _sums_along_odometry(
 ) -> tuple[Floats, Floats, Floats, Ids] | None:
     """Return poses, a pose in their midst, and the sums of covariances up to each node, seen there.
 
-    Also the number of gaps in the odometry up to each node, (n,). None if other edges are trusted.
+    Also the number of gaps in the odometry up to each node, (n,). None if other edges are trusted,
+    or fixed nodes say more than odometry.
     """
     poses = graph.poses
     assert poses is not None
@@ -101,7 +102,8 @@ def _sums_along_odometry(
     trusted = np.flatnonzero(closures.trusted)
     ends = closures.graph.edge_indices[trusted].astype(np.int64)
     lower = ends.min(axis=1)
-    if (np.abs(np.diff(ends, axis=1)) != 1).any() or len(np.unique(lower)) < len(lower):
+    other = (np.abs(np.diff(ends, axis=1)) != 1).any() or len(np.unique(lower)) < len(lower)
+    if other or len(graph.fixed) > 1:
         return None
     center = lie.identity(d)
     center[:d] = poses[:, :d].mean(axis=0)
