@@ -15,7 +15,7 @@ from masat.initializers.chordal import chordal
 from masat.optimizers import optimize
 from masat.optimizers.equations import normal_equations
 from masat.residuals import chi2_per_edge
-from masat.robust.closures import FAR_GATE, GATE, QUARTILE, Closures
+from masat.robust.closures import FAR_GATE, GATE, TENTH, Closures
 from masat.robust.prediction import agreement, predict_by_odometry
 from masat.robust.redundancy import Redundancy, Scales, redundancy
 
@@ -29,7 +29,7 @@ _MAX_RELEASED, _FAR = 5, 4.0
 _MAX_RATIO, _EXACT = 10.0, 1e-6
 # Factor by which information may be too large beyond what pairs of one place tell, and by which it
 # may be off where nothing tells.
-_MAX_EXCESS = 4.0
+_MAX_EXCESS = 2.0
 _UNKNOWN = 4.0
 # Closures and pairs that are looked at before anything is optimized.
 _SAMPLE, _MIN_PAIRS = 2000, 10
@@ -158,7 +158,7 @@ def odometry_allows(closures: Closures) -> float | None:
     scale = 1.0
     if len(pairs) >= _MIN_PAIRS:
         between = agreement(closures, trusted.poses, pairs)
-        scale = max(1.0, _CAUTIOUS * float(np.quantile(between, 0.25)) / QUARTILE[dof])
+        scale = max(1.0, _CAUTIOUS * float(np.quantile(between, 0.1)) / TENTH[dof])
         if np.mean(between > GATE[dof] * scale) > _MAX_DISAGREEING:
             return None
     chosen = _some(np.arange(len(closures)))
