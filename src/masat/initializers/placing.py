@@ -18,10 +18,9 @@ from masat.assembly import Assembly
 from masat.determinacy import body_of_each_node, with_undetermined_kept
 from masat.errors import InitializationError
 from masat.graph import PoseGraph
-from masat.information import isotropic_weights, partial
+from masat.information import isotropic_weights
 from masat.optimizers.equations import normal_equations
 from masat.optimizers.translations import solve_translations
-from masat.structure import Structure
 
 
 def placed_assembly(
@@ -37,8 +36,8 @@ def placed_assembly(
         The initializer of the edges of full information.
     """
     source = assembly.source
-    core = _full_edges(source)
-    guess = method(core)
+    assert assembly.graph.relative is not None
+    guess = method(assembly.graph.relative)
     if guess.poses is None:
         raise InitializationError("the initial guess left the graph without poses")
     # How the parts of the full edges lie to each other is found here.
@@ -62,26 +61,6 @@ def given_assembly(assembly: Assembly) -> tuple[Assembly, list[str]]:
         placing.run()
         assembly = assembly.at(placing.poses)
     return with_undetermined_kept(assembly)
-
-
-def _full_edges(graph: PoseGraph) -> PoseGraph:
-    """Return the graph of the poses and their edges of full information."""
-    keep = np.ones(len(graph.edges), np.bool_)
-    keep[partial(graph.information)] = False
-    old = graph.structure
-    structure = Structure(old.ids, old.edges[keep], old.fixed, old.dof, old.roots)
-    if keep.all():
-        structure.share_connectivity(old)
-    return PoseGraph(
-        ids=structure.ids,
-        poses=graph.poses,
-        edges=structure.edges,
-        measurements=np.ascontiguousarray(graph.measurements[keep]),
-        information=np.ascontiguousarray(graph.information[keep]),
-        fixed=structure.fixed,
-        notes=graph.notes,
-        structure=structure,
-    )
 
 
 class _Placing:
