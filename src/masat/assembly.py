@@ -206,13 +206,12 @@ def assemble(graph: PoseGraph) -> Assembly:
 
 def relative_part(graph: PoseGraph) -> PoseGraph:
     """Return the graph of the poses and of those edges that determine a relative pose in full."""
+    if not graph.has_partial_edges:
+        return replace(graph, priors=None, landmarks=None, labels=None, stamps=None)
     keep = np.ones(len(graph.edges), np.bool_)
-    if graph.has_partial_edges:
-        keep[partial(graph.information)] = False
+    keep[partial(graph.information)] = False
     old = graph.structure
     structure = Structure(old.ids, old.edges[keep], old.fixed, old.dof, old.roots)
-    if keep.all():
-        structure.share_connectivity(old)
     return PoseGraph(
         ids=structure.ids,
         poses=graph.poses,

@@ -219,7 +219,7 @@ def _chi2_without(graph: PoseGraph) -> tuple[Floats, Flags]:
 def _root(graph: PoseGraph) -> Floats:
     """Return a matrix L with L L' = W for the information of each edge, (m, d, d)."""
     if not isinstance(graph, AssembledGraph):
-        return np.linalg.cholesky(graph.information)
+        return np.asarray(np.linalg.cholesky(graph.information))
     values, axes = np.linalg.eigh(graph.information)
     root: Floats = axes * np.sqrt(np.maximum(values, 0))[:, None, :]
     return root

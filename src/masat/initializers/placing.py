@@ -46,6 +46,9 @@ def placed_assembly(
     placing.run()
     notes += _note_of_components(source)
     complete, more = with_undetermined_kept(assembly.at(placing.poses))
+    if placing.moved_as_one:
+        # The first step of an optimizer improves the translations as much.
+        return complete, notes + more
     return _with_better_translations(complete), notes + more
 
 
@@ -79,13 +82,20 @@ class _Placing:
         if everything_placed:
             self._placed[assembly.poses_at] = True
         self._spread()
-        rows = slice(0, assembly.measured)
+        ends = self._bodies[graph.edge_indices[: assembly.measured]]
+        rows = np.flatnonzero(ends[:, 0] != ends[:, 1])
         weights = isotropic_weights(graph.information[rows])
         self._i, self._j = graph.edge_indices[rows].T
         self._z = graph.measurements[rows]
-        self._offsets = graph.sensor_offsets
+        self._offsets = None if graph.sensor_offsets is None else graph.sensor_offsets[rows]
         self._rotation = weights.rotation
         self._translation = _position_weights(graph.information[rows], weights.translation)
+
+    @property
+    def moved_as_one(self) -> bool:
+        """Whether there is nothing but one body of poses."""
+        bodies = self._bodies[self._assembly.poses_at]
+        return not self._is_point.any() and bool((bodies == bodies[0]).all())
 
     def run(self) -> None:
         """Place one body after the other, those with the most matches first."""
@@ -143,7 +153,7 @@ class _Placing:
     def _with_offsets(self, poses: Floats) -> Floats:
         if self._offsets is None:
             return poses
-        return lie.compose(poses, self._offsets[: len(poses)])
+        return lie.compose(poses, self._offsets)
 
     def _locate(self) -> None:
         """Place the landmarks that placed nodes saw: the weighted mean of what they say."""
