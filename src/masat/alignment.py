@@ -17,6 +17,10 @@ _SUBSETS = 100
 _TRIMMED = 0.6
 # Steps that take the motion of those residuals again, and how many candidates take all of them.
 _FIRST_STEPS, _LAST_STEPS, _CANDIDATES = 2, 20, 5
+# The search uses this many matches at most; those that agree are then found among all.
+_MAX_SEARCHED = 100
+# A step that lowers the sum of those residuals by a smaller fraction is the last one.
+_LEAST_DECREASE = 0.01
 # Residuals beyond this multiple of the median of the best motion do not count. The search for it
 # is left out where none is: of 1000 Gaussian residuals in 2D the largest is 3.2 times the median.
 _FAR = 3.3
@@ -45,18 +49,35 @@ class Matches:
     target_rotations: Floats
     rotation_weights: Floats
 
+    def __len__(self) -> int:
+        return len(self.positions) + len(self.rotations)
+
+    def sample(self, count: int) -> Matches:
+        """Return at most so many matches chosen at random, always the same ones."""
+        if len(self) <= count:
+            return self
+        p = len(self.positions)
+        chosen = np.sort(np.random.default_rng(0).choice(len(self), count, replace=False))
+        a, b = chosen[chosen < p], chosen[chosen >= p] - p
+        return Matches(
+            self.positions[a],
+            self.targets[a],
+            self.position_weights[a],
+            self.rotations[b],
+            self.target_rotations[b],
+            self.rotation_weights[b],
+        )
+
     def residuals(self, motions: Motions) -> Floats:
         """Return the weighted squares of all residuals at some motions, (s, p + r)."""
         rotation, translation = motions
         off = self.positions @ rotation.transpose(0, 2, 1) + translation[:, None] - self.targets
+        of_positions = self.position_weights * np.einsum("spi,spi->sp", off, off)
+        if len(self.rotations) == 0:
+            return np.asarray(of_positions)
         turned = rotation[:, None] @ self.rotations - self.target_rotations
-        return np.concatenate(
-            [
-                self.position_weights * np.square(off).sum(axis=2),
-                self.rotation_weights * np.square(turned).sum(axis=(2, 3)),
-            ],
-            axis=1,
-        )
+        of_rotations = self.rotation_weights * np.square(turned).sum(axis=(2, 3))
+        return np.concatenate([of_positions, of_rotations], axis=1)
 
 
 class Motions(NamedTuple):
@@ -87,22 +108,28 @@ def rigid_motion(matches: Matches) -> Floats:
     ndarray, (3,) or (7,)
     """
     d = matches.positions.shape[1]
-    count = len(matches.positions) + len(matches.rotations)
-    best = _motions(matches, np.ones((1, count), np.bool_))
-    if count > d + 1:
-        kept = int(np.ceil(_TRIMMED * count))
-        best = _improved(matches, best, kept, _LAST_STEPS)
-        if not _agreeing(matches, best).all():
-            found = _improved(matches, _trials(matches), kept, _FIRST_STEPS)
-            order = np.argsort(_trimmed(matches, found, kept), kind="stable")[:_CANDIDATES]
-            last = _improved(matches, Motions(*(a[order] for a in found)), kept, _LAST_STEPS)
-            both = Motions(*(np.concatenate(pair) for pair in zip(best, last, strict=True)))
-            lowest = int(np.argmin(_trimmed(matches, both, kept)))
-            best = Motions(*(a[lowest : lowest + 1] for a in both))
+    best = _motions(matches, np.ones((1, len(matches)), np.bool_))
+    if len(matches) > d + 1:
+        best = _searched(matches.sample(_MAX_SEARCHED))
         best = _motions(matches, _agreeing(matches, best))
     pose: Floats = _core.nearest_rotations(np.ascontiguousarray(best.rotation))[0]
     pose[:d] = best.translation[0]
     return pose
+
+
+def _searched(matches: Matches) -> Motions:
+    """Return the motion whose smallest residuals are smallest."""
+    kept = int(np.ceil(_TRIMMED * len(matches)))
+    first = _motions(matches, np.ones((1, len(matches)), np.bool_))
+    first = _improved(matches, first, kept, _LAST_STEPS)
+    if _agreeing(matches, first).all():
+        return first
+    found = _improved(matches, _trials(matches), kept, _FIRST_STEPS)
+    order = np.argsort(_trimmed(matches, found, kept), kind="stable")[:_CANDIDATES]
+    last = _improved(matches, Motions(*(a[order] for a in found)), kept, _LAST_STEPS)
+    both = Motions(*(np.concatenate(pair) for pair in zip(first, last, strict=True)))
+    lowest = int(np.argmin(_trimmed(matches, both, kept)))
+    return Motions(*(a[lowest : lowest + 1] for a in both))
 
 
 def _agreeing(matches: Matches, motions: Motions) -> Flags:
@@ -130,17 +157,30 @@ def _motions(matches: Matches, which: Flags) -> Motions:
     pairs = (b[:, :, None] * a[:, None]).reshape(p, d * d)
     product = (w @ pairs).reshape(-1, d, d)
     product -= total[..., None] * center_b[:, :, None] * center_a[:, None]
-    turns = matches.target_rotations @ matches.rotations.transpose(0, 2, 1)
-    of_rotations = np.where(which[:, p:], matches.rotation_weights, 0.0)
-    product += (of_rotations @ turns.reshape(-1, d * d)).reshape(-1, d, d)
+    if len(matches.rotations):
+        turns = matches.target_rotations @ matches.rotations.transpose(0, 2, 1)
+        of_rotations = np.where(which[:, p:], matches.rotation_weights, 0.0)
+        product += (of_rotations @ turns.reshape(-1, d * d)).reshape(-1, d, d)
     # What is not determined stays at the identity: it decides where the rest is indifferent.
     scale = np.abs(product).max(axis=(1, 2), keepdims=True)
-    left, _, right = np.linalg.svd(product + 1e-12 * np.where(scale > 0, scale, 1.0) * np.eye(d))
-    mirrored = np.linalg.det(left @ right) < 0
-    left[mirrored, :, -1] *= -1
-    rotation = left @ right
+    rotation = _nearest_rotations(product + 1e-12 * np.where(scale > 0, scale, 1.0) * np.eye(d))
     moved_middle = np.einsum("sij,sj->si", rotation, center_a + middle_a)
     return Motions(rotation, center_b + middle_b - moved_middle)
+
+
+def _nearest_rotations(matrices: Floats) -> Floats:
+    """Return the rotations R of the largest tr(R' M), (s, d, d)."""
+    if matrices.shape[1] == 2:
+        x = matrices[:, 0, 0] + matrices[:, 1, 1]
+        y = matrices[:, 1, 0] - matrices[:, 0, 1]
+        angle = np.arctan2(y, x)
+        c, s = np.cos(angle), np.sin(angle)
+        return np.array([[c, -s], [s, c]]).transpose(2, 0, 1)
+    left, _, right = np.linalg.svd(matrices)
+    mirrored = np.linalg.det(left @ right) < 0
+    left[mirrored, :, -1] *= -1
+    rotations: Floats = left @ right
+    return rotations
 
 
 def _trials(matches: Matches) -> Motions:
@@ -165,7 +205,7 @@ def _improved(matches: Matches, motions: Motions, kept: int, steps: int) -> Moti
         residuals = matches.residuals(motions)
         smallest = np.argpartition(residuals, kept - 1, axis=1)[:, :kept]
         now = float(np.take_along_axis(residuals, smallest, axis=1).sum())
-        if now >= before * (1 - 1e-9):
+        if now >= before * (1 - _LEAST_DECREASE):
             break
         before = now
         which = np.zeros(residuals.shape, np.bool_)

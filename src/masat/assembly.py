@@ -16,6 +16,7 @@ from masat import lie
 from masat.arrays import Flags, Floats, Ids
 from masat.errors import GraphError
 from masat.graph import PoseGraph
+from masat.information import partial
 from masat.residuals import as_poses
 from masat.structure import Structure
 
@@ -28,9 +29,13 @@ class AssembledGraph(PoseGraph):
     ----------
     offsets : ndarray, (m, 3) or (m, 7), or None
         Pose of the sensor that each edge measures, in the frame of the node that it leads to.
+    relative : PoseGraph or None
+        The poses and those edges alone that determine a relative pose in full; None in a part of
+        such a graph.
     """
 
     offsets: Floats | None = field(default=None)
+    relative: PoseGraph | None = field(default=None)
 
     @property
     def sensor_offsets(self) -> Floats | None:
@@ -191,11 +196,32 @@ def assemble(graph: PoseGraph) -> Assembly:
         notes=graph.notes,
         structure=structure,
         offsets=offsets,
+        relative=relative_part(graph),
     )
     out = Assembly(graph, assembled)
     if graph.poses is None or (seen is not None and seen.positions is None):
         return out
     return out.at(out.placed(graph.poses, graph.points))
+
+
+def relative_part(graph: PoseGraph) -> PoseGraph:
+    """Return the graph of the poses and of those edges that determine a relative pose in full."""
+    if not graph.has_partial_edges:
+        return replace(graph, priors=None, landmarks=None, labels=None, stamps=None)
+    keep = np.ones(len(graph.edges), np.bool_)
+    keep[partial(graph.information)] = False
+    old = graph.structure
+    structure = Structure(old.ids, old.edges[keep], old.fixed, old.dof, old.roots)
+    return PoseGraph(
+        ids=structure.ids,
+        poses=graph.poses,
+        edges=structure.edges,
+        measurements=np.ascontiguousarray(graph.measurements[keep]),
+        information=np.ascontiguousarray(graph.information[keep]),
+        fixed=structure.fixed,
+        notes=graph.notes,
+        structure=structure,
+    )
 
 
 def checked_support(graph: PoseGraph, what: str) -> None:

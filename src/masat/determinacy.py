@@ -16,7 +16,6 @@ from masat import _core
 from masat.arrays import Flags, Floats, Indices
 from masat.assembly import Assembly
 from masat.errors import OptimizationError
-from masat.information import partial
 from masat.residuals import residuals
 from masat.structure import eliminate
 
@@ -75,12 +74,14 @@ def undetermined(assembly: Assembly) -> list[Freedom]:
 
 def body_of_each_node(assembly: Assembly) -> Indices:
     """Return the body of each node: what edges of full information join, the world apart."""
-    graph, m = assembly.graph, len(assembly.source.edges)
-    full = np.ones(m, np.bool_)
-    full[partial(graph.information[:m])] = False
-    joined = graph.edge_indices[:m][full]
-    topology = _core.Topology(len(graph.ids), np.ascontiguousarray(joined))
-    return topology.components()
+    relative = assembly.graph.relative
+    assert relative is not None
+    # Landmarks and the world are bodies of their own.
+    bodies = np.arange(len(assembly.graph.ids), dtype=np.int32)
+    at = assembly.poses_at
+    _, first = np.unique(relative.structure.components, return_index=True)
+    bodies[at] = at[first[relative.structure.components]]
+    return np.unique(bodies, return_inverse=True)[1].astype(np.int32)
 
 
 def with_undetermined_kept(assembly: Assembly) -> tuple[Assembly, list[str]]:

@@ -7,10 +7,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from masat.arrays import Flags, Floats, Ids
+from masat.assembly import AssembledGraph
 from masat.chain import odometry_edges
 from masat.covariance import relative_covariances
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
+from masat.information import degrees_of_freedom
 from masat.neighbors import neighbor_scale
 from masat.residuals import residuals
 
@@ -61,7 +63,7 @@ def cannot_be_right(graph: PoseGraph, chi2: float, *, strictness: float = 1.0) -
     reduced = _reduced(graph, chi2)
     if not reduced > strictness * _MAX_REDUCED:
         return False
-    scale = neighbor_scale(graph)
+    scale = _neighbor_scale(graph)
     return scale is not None and reduced > strictness * _MAX_RATIO * scale
 
 
@@ -136,14 +138,21 @@ def describe_outliers(graph: PoseGraph, minimum: Minimum = "any") -> tuple[str, 
 
 
 def _contradiction(graph: PoseGraph, far: Ids, chi2: Floats) -> str:
-    worst = ", ".join(
-        f"{a} -> {b} ({value:.3g})"
-        for (a, b), value in zip(graph.edges[far[:3]], chi2[far[:3]], strict=True)
-    )
+    what = f"of {len(chi2)} edges"
+    if isinstance(graph, AssembledGraph):
+        what = "measurements"
+    worst = ", ".join(f"{_name(graph, edge)} ({chi2[edge]:.3g})" for edge in far[:3])
     return (
-        f"{len(far)} of {len(chi2)} edges contradict the map far beyond their information (chi2 of "
-        f"the worst: {worst})"
+        f"{len(far)} {what} contradict the map far beyond their information (chi2 of the worst: "
+        f"{worst})"
     )
+
+
+def _name(graph: PoseGraph, edge: int) -> str:
+    a, b = graph.edges[edge]
+    if isinstance(graph, AssembledGraph) and a == graph.ids[-1]:
+        return f"the prior of {b}"
+    return f"{a} -> {b}"
 
 
 def _closures_first(graph: PoseGraph, edges: Ids, badness: Floats) -> Ids:
@@ -157,15 +166,24 @@ def is_description(note: str) -> bool:
 
 
 def _reduced(graph: PoseGraph, chi2: float) -> float:
+    if isinstance(graph, AssembledGraph):
+        return chi2 / max(degrees_of_freedom(graph), 1)
     free = len(graph.ids) - len(graph.gauge)
     return chi2 / max(graph.dof * (len(graph.edges) - free), 1)
+
+
+def _neighbor_scale(graph: PoseGraph) -> float | None:
+    """Return the scale of neighboring loop closures, which priors and landmarks are not."""
+    if isinstance(graph, AssembledGraph):
+        return None if graph.relative is None else neighbor_scale(graph.relative)
+    return neighbor_scale(graph)
 
 
 def _is_too_large(graph: PoseGraph, reduced: float) -> bool:
     """Whether a reduced chi2 is too large for a map that can be trusted, for whatever reason."""
     if reduced <= _MAX_REDUCED_ALONE:
         return False
-    return reduced > _MAX_REDUCED_ANYHOW or neighbor_scale(graph) is None
+    return reduced > _MAX_REDUCED_ANYHOW or _neighbor_scale(graph) is None
 
 
 def _is_doubtful(graph: PoseGraph) -> bool:
@@ -188,7 +206,7 @@ def _chi2_without(graph: PoseGraph) -> tuple[Floats, Flags]:
         joint = relative_covariances(graph, graph.edges, warn=False)
     except OptimizationError:
         return graph.chi2_per_edge, np.ones(len(graph.edges), np.bool_)
-    root = np.linalg.cholesky(graph.information)
+    root = _root(graph)
     back = root.transpose(0, 2, 1)
     redundancy, axes = np.linalg.eigh(np.eye(graph.dof) - back @ joint @ root)
     e = (axes.transpose(0, 2, 1) @ back @ residuals(graph)[..., None])[..., 0]
@@ -196,6 +214,15 @@ def _chi2_without(graph: PoseGraph) -> tuple[Floats, Flags]:
     loss: Floats = (checked * np.square(e) / np.where(checked, redundancy, 1.0)).sum(axis=1)
     is_checked: Flags = np.any(checked, axis=1)
     return loss, is_checked
+
+
+def _root(graph: PoseGraph) -> Floats:
+    """Return a matrix L with L L' = W for the information of each edge, (m, d, d)."""
+    if not isinstance(graph, AssembledGraph):
+        return np.asarray(np.linalg.cholesky(graph.information))
+    values, axes = np.linalg.eigh(graph.information)
+    root: Floats = axes * np.sqrt(np.maximum(values, 0))[:, None, :]
+    return root
 
 
 def _limit(graph: PoseGraph, loss: Floats, is_checked: Flags) -> float:

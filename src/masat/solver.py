@@ -144,8 +144,9 @@ def solve(
     assembly = None
     guess: PoseGraph
     if needs_assembly(rooted):
-        assembly = guess_of_assembly(assemble(rooted), init, seed=seed, progress=progress)
-        equations = normal_equations(assembly.graph, threads)
+        assembly, equations = guess_of_assembly(
+            assemble(rooted), init, seed=seed, progress=progress, threads=threads
+        )
         guess = assembly.graph
     elif decision is not None and decision.from_start:
         equations = normal_equations(rooted, threads)

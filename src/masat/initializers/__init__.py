@@ -24,6 +24,7 @@ from masat.initializers.spanning_tree import spanning_tree
 from masat.initializers.spectral import spectral
 from masat.initializers.toro import toro
 from masat.optimality.best import best_minimum
+from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
 
 
@@ -125,7 +126,7 @@ def guess_of(
             f"unknown initial guess {method!r}; known: {', '.join(INITIALIZERS)}"
         )
     if needs_assembly(graph):
-        placed = guess_of_assembly(assemble(graph), method, seed=seed, progress=progress)
+        placed, _ = guess_of_assembly(assemble(graph), method, seed=seed, progress=progress)
         assert placed.graph.poses is not None
         return replace(placed.disassembled(placed.graph.poses), notes=placed.graph.notes)
     if method in SEARCHES:
@@ -139,10 +140,12 @@ def guess_of_assembly(
     *,
     seed: int = 0,
     progress: Progress | None = None,
-) -> Assembly:
-    """Return an assembly with the poses of an initial guess, complete with what it leaves open.
+    threads: int | None = None,
+) -> tuple[Assembly, _core.NormalEquations]:
+    """Return an assembly with the poses of an initial guess, and its equations to be used again.
 
-    Parameters as of `initialize`. The notes of the graph tell what is not determined.
+    The assembly is complete with what keeps the directions that nothing determines; the notes of
+    its graph name them. Parameters as of `initialize` and `optimize`.
     """
     if method not in INITIALIZERS:
         raise InitializationError(
@@ -155,8 +158,8 @@ def guess_of_assembly(
         placed, notes = placed_assembly(assembly, first)
     graph = placed.graph
     assert graph.poses is not None
-    poses = graph.poses
+    poses, equations = graph.poses, normal_equations(graph, threads)
     if method in SEARCHES:
-        found = best_minimum(graph, seed=seed, progress=progress)
+        found = best_minimum(graph, seed=seed, progress=progress, equations=equations)
         poses, notes = found.poses, [*notes, *found.notes]
-    return replace(placed, graph=graph.with_poses(poses, notes=notes))
+    return replace(placed, graph=graph.with_poses(poses, notes=notes)), equations

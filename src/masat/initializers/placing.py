@@ -18,10 +18,9 @@ from masat.assembly import Assembly
 from masat.determinacy import body_of_each_node, with_undetermined_kept
 from masat.errors import InitializationError
 from masat.graph import PoseGraph
-from masat.information import isotropic_weights, partial
+from masat.information import isotropic_weights
 from masat.optimizers.equations import normal_equations
 from masat.optimizers.translations import solve_translations
-from masat.structure import Structure
 
 
 def placed_assembly(
@@ -37,8 +36,8 @@ def placed_assembly(
         The initializer of the edges of full information.
     """
     source = assembly.source
-    core = _full_edges(source)
-    guess = method(core)
+    assert assembly.graph.relative is not None
+    guess = method(assembly.graph.relative)
     if guess.poses is None:
         raise InitializationError("the initial guess left the graph without poses")
     # How the parts of the full edges lie to each other is found here.
@@ -47,6 +46,9 @@ def placed_assembly(
     placing.run()
     notes += _note_of_components(source)
     complete, more = with_undetermined_kept(assembly.at(placing.poses))
+    if placing.moved_as_one:
+        # The first step of an optimizer improves the translations as much.
+        return complete, notes + more
     return _with_better_translations(complete), notes + more
 
 
@@ -62,26 +64,6 @@ def given_assembly(assembly: Assembly) -> tuple[Assembly, list[str]]:
         placing.run()
         assembly = assembly.at(placing.poses)
     return with_undetermined_kept(assembly)
-
-
-def _full_edges(graph: PoseGraph) -> PoseGraph:
-    """Return the graph of the poses and their edges of full information."""
-    keep = np.ones(len(graph.edges), np.bool_)
-    keep[partial(graph.information)] = False
-    old = graph.structure
-    structure = Structure(old.ids, old.edges[keep], old.fixed, old.dof, old.roots)
-    if keep.all():
-        structure.share_connectivity(old)
-    return PoseGraph(
-        ids=structure.ids,
-        poses=graph.poses,
-        edges=structure.edges,
-        measurements=np.ascontiguousarray(graph.measurements[keep]),
-        information=np.ascontiguousarray(graph.information[keep]),
-        fixed=structure.fixed,
-        notes=graph.notes,
-        structure=structure,
-    )
 
 
 class _Placing:
@@ -100,13 +82,20 @@ class _Placing:
         if everything_placed:
             self._placed[assembly.poses_at] = True
         self._spread()
-        rows = slice(0, assembly.measured)
+        ends = self._bodies[graph.edge_indices[: assembly.measured]]
+        rows = np.flatnonzero(ends[:, 0] != ends[:, 1])
         weights = isotropic_weights(graph.information[rows])
         self._i, self._j = graph.edge_indices[rows].T
         self._z = graph.measurements[rows]
-        self._offsets = graph.sensor_offsets
+        self._offsets = None if graph.sensor_offsets is None else graph.sensor_offsets[rows]
         self._rotation = weights.rotation
         self._translation = _position_weights(graph.information[rows], weights.translation)
+
+    @property
+    def moved_as_one(self) -> bool:
+        """Whether there is nothing but one body of poses."""
+        bodies = self._bodies[self._assembly.poses_at]
+        return not self._is_point.any() and bool((bodies == bodies[0]).all())
 
     def run(self) -> None:
         """Place one body after the other, those with the most matches first."""
@@ -164,7 +153,7 @@ class _Placing:
     def _with_offsets(self, poses: Floats) -> Floats:
         if self._offsets is None:
             return poses
-        return lie.compose(poses, self._offsets[: len(poses)])
+        return lie.compose(poses, self._offsets)
 
     def _locate(self) -> None:
         """Place the landmarks that placed nodes saw: the weighted mean of what they say."""

@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from masat.arrays import Flags, Floats
+from masat.assembly import AssembledGraph
 from masat.graph import PoseGraph
 from masat.optimizers.equations import Equations
 from masat.optimizers.termination import Outcome, Report, StopReason, Termination
@@ -21,6 +22,8 @@ from masat.residuals import residuals
 _NEAR_HALF_TURN = {2: 1e-2, 3: 1e-3}
 # Radians by which rotations are moved at random, and how often an optimizer begins again there.
 _NUDGE, _MAX_NUDGES = 1e-2, 3
+# An axis with a smaller fraction of the largest information about an axis was not measured.
+_UNMEASURED = 1e-14
 # chi2 that is lower by this fraction is lower.
 _LOWER = 1e-9
 _NO_MINIMUM_YET = {StopReason.MAX_ITERATIONS, StopReason.INTERRUPTED, StopReason.DIVERGED}
@@ -91,5 +94,19 @@ def _at_half_turn(graph: PoseGraph, poses: Floats, edges: Flags | slice) -> bool
     e = residuals(graph, poses)[edges, d:]
     if len(e) == 0:
         return False
-    farthest = float(np.sqrt(np.square(e).sum(axis=1).max()))
-    return (np.pi if d == 2 else 1.0) - farthest < _NEAR_HALF_TURN[d]
+    lengths = np.sqrt(np.square(e).sum(axis=1))
+    half_turn = np.pi if d == 2 else 1.0
+    near = half_turn - lengths < _NEAR_HALF_TURN[d]
+    if isinstance(graph, AssembledGraph) and near.any():
+        measured = _measured_lengths(e[near], graph.information[edges][near, d:, d:])
+        return bool((half_turn - measured < _NEAR_HALF_TURN[d]).any())
+    return bool(near.any())
+
+
+def _measured_lengths(e: Floats, information: Floats) -> Floats:
+    """Return the lengths of rotation residuals, (k,), along the axes that were measured."""
+    values, axes = np.linalg.eigh(information)
+    along = (axes.transpose(0, 2, 1) @ e[..., None])[..., 0]
+    measured = values > _UNMEASURED * values[:, -1:]
+    lengths: Floats = np.sqrt((measured * np.square(along)).sum(axis=1))
+    return lengths
