@@ -45,14 +45,14 @@ sanitize: $(VENV)/.test
 	  tests/test_lie.py tests/test_toro.py tests/test_relaxation.py tests/test_covariance.py \
 	  -k "not (same_bits and 3) and not long_calls"
 
-# The tests that factorize with several threads, on a core with the thread sanitizer.
+# The tests that factorize or invert with several threads, on a core with the thread sanitizer.
 sanitize-threads: $(VENV)/.test
 	$(BIN)/pip install -q --no-deps --target build/sanitized-threads --upgrade . \
 	  -C cmake.define.MASAT_SANITIZE=thread -C cmake.define.CMAKE_COMPILE_WARNING_AS_ERROR=ON
 	TSAN_OPTIONS=exitcode=66 OPENBLAS_NUM_THREADS=1 \
 	LD_PRELOAD="$$($(CXX) -print-file-name=libtsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	PYTHONPATH=build/sanitized-threads $(BIN)/python -m pytest -q tests/test_cholesky.py \
-	  -k "(same_bits and 2) or pivot or interrupted or no_more_threads"
+	  tests/test_covariance.py -k "(same_bits and 2) or pivot or interrupted or threads"
 
 # evo is under the GPL, so no extra has it: it is installed in an environment of its own.
 test-evo: $(VENV)/evo/.done
