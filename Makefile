@@ -52,7 +52,7 @@ sanitize-threads: $(VENV)/.test
 	TSAN_OPTIONS=exitcode=66 OPENBLAS_NUM_THREADS=1 \
 	LD_PRELOAD="$$($(CXX) -print-file-name=libtsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	PYTHONPATH=build/sanitized-threads $(BIN)/python -m pytest -q tests/test_cholesky.py \
-	  tests/test_covariance.py -k "(same_bits and 2) or pivot or interrupted or threads"
+	  tests/test_covariance.py -k "(same_bits and 2) or pivot or interrupted or no_more_threads or on_the_threads"
 
 # evo is under the GPL, so no extra has it: it is installed in an environment of its own.
 test-evo: $(VENV)/evo/.done
