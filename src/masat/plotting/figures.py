@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 # Inches a panel: one or two panels get a larger share of a page that is about 12 inches wide.
 _SMALLEST_PANEL, _LARGEST_PANEL, _PAGE = 5.0, 8.0, 12.0
+# Above and below a panel: with less the edge of the picture cuts off the titles.
+_PAD = 0.12
 
 
 def plot(
@@ -79,6 +81,8 @@ def plot(
     MasatError
         If the ending of `path` or `view` is unknown, or `columns` is less than 1.
     """
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
     from masat.plotting.picture import Picture
 
     panels = _panels(graphs)
@@ -94,7 +98,8 @@ def plot(
     columns = min(columns, len(panels))
     rows = -(-len(panels) // columns)
     size = float(np.clip(_PAGE / columns, _SMALLEST_PANEL, _LARGEST_PANEL))
-    figure = Picture(figsize=(size * columns, size * rows), dpi=dpi, layout="constrained")
+    layout = ConstrainedLayoutEngine(h_pad=_PAD)
+    figure = Picture(figsize=(size * columns, size * rows), dpi=dpi, layout=layout)
     file_format = "png" if path is None else picture_format(Path(path), figure)
     graphs_alone = [graph for _, graph, _ in panels]
     color = _error_scale(graphs_alone) if color_by_error else None
