@@ -22,7 +22,7 @@ from masat.robust.parts import joining_closures
 from masat.robust.redundancy import Scales
 from masat.robust.slips import suspected_slip
 from masat.robust.table import table_of, table_of_fit
-from masat.robust.whole import Fit, fit_of_all
+from masat.robust.whole import Fit, fit_of_all, odometry_allows
 
 # Trusted edges that may be released, and the gates that one has to save.
 _MAX_RELEASED, _PRICE_OF_RELEASE = 5, 4.0
@@ -160,11 +160,14 @@ def decide(
     progress = progress or Progress()
     closures = Closures(graph, trusted)
     progress.tell("comparing all loop closures with each other")
-    fit = fit_of_all(closures, start or partial(guess_of, method="chordal"))
-    if fit is not None:
-        return _decision_of_fit(closures, fit)
+    joining = joining_closures(closures)
     joined = closures.trusted.copy()
-    joined[joining_closures(closures)] = True
+    joined[joining] = True
+    # Trusted edges contradict no closure between parts that they leave unconnected.
+    if len(joining) == 0 or odometry_allows(Closures(graph, joined)):
+        fit = fit_of_all(closures, start or partial(guess_of, method="chordal"))
+        if fit is not None:
+            return _decision_of_fit(closures, fit)
     best = best_scaled(graph, joined, progress)
     trusting = closures.trusted.copy()
     for _ in range(_MAX_RELEASED):
