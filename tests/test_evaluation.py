@@ -386,7 +386,7 @@ def test_evaluate_ignores_the_information_of_edges(run, solved, tmp_path):
     (tmp_path / "bad.g2o").write_text((tmp_path / "map.g2o").read_text() + edge)
     code, _, err = run("evaluate", "bad.g2o", "truth.g2o")
     assert code == 0
-    assert "not positive definite" in err
+    assert "not positive" in err
 
 
 @pytest.mark.parametrize(
