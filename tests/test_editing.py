@@ -191,7 +191,7 @@ def test_a_chosen_root_survives_editing():
     assert graph.relabel(10).gauge.tolist() == [12]
     assert graph.with_fixed([]).gauge.tolist() == [2]
     assert graph.with_fixed(3).gauge.tolist() == [3]
-    assert masat.merge([path(0, 1), graph]).gauge.tolist() == [0, 4]
+    assert masat.merge([path(0, 1), graph]).gauge.tolist() == [0, 1_000_002]
 
 
 # without_edges, without_nodes
@@ -436,19 +436,22 @@ def test_edges_without_labels_get_empty_ones_among_others_that_have_some():
 # merge
 
 
-def test_ids_of_merged_graphs_follow_each_other():
-    merged = masat.merge([path(3, 4, 9), path(0, 1, 5, fixed=5), path(-7, 100)])
-    assert merged.ids.tolist() == [3, 4, 9, 10, 11, 15, 16, 123]
-    assert merged.edges.tolist() == [[3, 4], [4, 9], [10, 11], [11, 15], [16, 123]]
+def test_ids_of_merged_graphs_tell_the_graph():
+    merged = masat.merge([path(3, 4, 9), path(0, 1, 5, fixed=5), path(-7, 2)])
+    a, b = 10**6, 2 * 10**6
+    assert merged.ids.tolist() == [3, 4, 9, a, a + 1, a + 5, b - 7, b + 2]
+    assert merged.edges.tolist() == [[3, 4], [4, 9], [a, a + 1], [a + 1, a + 5], [b - 7, b + 2]]
     assert merged.poses[:, 0].tolist() == [0, 1, 2, 0, 1, 2, 0, 1]
-    assert merged.gauge.tolist() == [3, 15, 16]
+    assert merged.gauge.tolist() == [3, a + 5, b - 7]
+    assert masat.sessions(merged).tolist() == [0, 0, 0, 1, 1, 1, 2, 2]
 
 
 def test_merged_graphs_are_joined_by_the_edges_between_them():
     a, b = path(0, 1, 2), path(0, 1)
-    shift = a.ids[-1] + 1 - b.ids[0]
+    shift = 10**6
     merged = masat.merge([a, b], ([[2, 0 + shift]], [STEP], np.eye(3) * 4))
-    assert merged.edges.tolist() == [[0, 1], [1, 2], [3, 4], [2, 3]]
+    assert merged.edges.tolist() == [[0, 1], [1, 2], [shift, shift + 1], [2, shift]]
+    assert_same(merged, masat.merge([a, b], ([[0, 2, 1, 0]], [STEP], np.eye(3) * 4)))
     assert merged.information[:, 0, 0].tolist() == [1, 1, 1, 4]
     assert merged.gauge.tolist() == [0]
     result = masat.optimize(merged)
@@ -462,7 +465,7 @@ def test_poses_are_kept_if_all_merged_graphs_have_some():
     assert masat.merge([a, b]).notes == ("read", "a", "b", frames)
     fixed = masat.merge([a.with_fixed(0), b.with_fixed(1)])
     assert fixed.notes[-1].startswith(frames + "; so are the fixed nodes")
-    assert fixed.fixed.tolist() == [0, 3]
+    assert fixed.fixed.tolist() == [0, 1_000_001]
     without = masat.merge([a, path(0, 1, poses=False)])
     assert without.poses is None
     assert without.notes[-1] == "the merged graph has no poses, since graph 1 has none"
@@ -481,7 +484,7 @@ def test_a_graph_that_is_cut_and_merged_costs_the_same(graph, data):
     parts = [graph.without_nodes(rest), graph.without_nodes(some)] if rest else [graph]
     cut = np.isin(graph.edges, sorted(some)).sum(axis=1) == 1
     between = graph.edges[cut], graph.measurements[cut], graph.information[cut]
-    merged = masat.merge(iter(parts), between, offsets=[0] * len(parts))
+    merged = masat.merge(iter(parts), between, offsets=[0] * len(parts), common_frame=True)
     assert_array_equal(merged.ids, graph.ids)
     assert_array_equal(merged.poses, graph.poses)
     assert_array_equal(merged.gauge, graph.gauge)
@@ -514,7 +517,7 @@ SPATIAL = PoseGraph.from_arrays([[0, 1]], [[0, 0, 0, 0, 0, 0, 1]])
         (([path(0, 1), path(2, HIGHEST), path(0, 1)],), "do not fit in 64 bits"),
         (([path(0, 1)] * 2, ([[1, 2]],)), "`between` must be"),
         (([path(0, 1)] * 2, ([[1, 4]], [STEP])), r"edge 0 \(1 -> 4\) names node 4"),
-        (([path(0, 1)] * 2, ([[1, 2]], [STEP], -np.eye(3))), "not positive semidefinite"),
+        (([path(0, 1)] * 2, ([[1, 10**6]], [STEP], -np.eye(3))), "not positive semidefinite"),
     ],
 )
 def test_what_cannot_be_merged_is_refused(arguments, message):

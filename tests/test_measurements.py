@@ -226,7 +226,7 @@ def test_edits_and_merges_carry_priors_and_landmarks():
     assert_array_equal(less.landmarks.observations, [(0, 50), (2, 51), (3, 50)])
     two = masat.merge([graph, graph])
     assert_allclose(two.chi2, 2 * graph.chi2)
-    assert_array_equal(two.point_ids, [50, 51, 102, 103])
+    assert_array_equal(two.point_ids, [50, 51, 1_000_050, 1_000_051])
     with pytest.raises(GraphError, match="the id 50 is that of a landmark"):
         graph.with_edges([(0, 50)], [(1, 0, 0)])
 

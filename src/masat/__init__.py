@@ -8,6 +8,7 @@
 
 from typing import Any
 
+from masat.chain import sessions
 from masat.covariance import covariances, landmark_covariances, relative_covariances
 from masat.diagnostics import Diagnosis, diagnose
 from masat.errors import (
@@ -69,6 +70,7 @@ __all__ = [
     "pose_priors",
     "read",
     "relative_covariances",
+    "sessions",
     "solve",
     "write",
 ]

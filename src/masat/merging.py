@@ -4,56 +4,82 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from masat import _checks as checks
-from masat.arrays import Ids
+from masat.arrays import Flags, Ids, Indices
 from masat.editing import joined_labels, shifted
 from masat.errors import GraphError
 from masat.graph import PoseGraph
 from masat.measurements import landmarks
 from masat.stamps import joined_stamps
-from masat.structure import Structure
+from masat.structure import NEW_SESSION, Structure
+
+# The ids of a session are shifted by a multiple of a power of ten that is at least this one, and
+# at least ten times the largest id.
+_MIN_BLOCK = 10**6
 
 
 def merge(
     graphs: Iterable[PoseGraph],
-    between: Sequence[ArrayLike] | None = None,
+    between: PoseGraph | Sequence[ArrayLike] | None = None,
     *,
     offsets: Sequence[int] | None = None,
+    common_frame: bool = False,
 ) -> PoseGraph:
-    """Return one graph with the nodes and edges of several, and edges between them.
+    """Return one graph with the nodes and edges of several sessions, and links between them.
 
-    Nodes are never identified with each other. The first graph keeps its ids. Those of each next
-    graph are shifted so that its smallest id is one above the largest id before it. The shift of
-    the second graph is ``graphs[0].ids[-1] + 1 - graphs[1].ids[0]``.
+    Nodes are never identified with each other. The first graph keeps its ids, and those of each
+    next one are shifted by a million, or by the power of ten that is at least ten times the largest
+    id: node 17 of graph 2 becomes 2000017. So the ids tell in any file where a node comes from, and
+    `masat.sessions` reads it from them. Where such ids do not fit in 64 bits, each graph begins a
+    million ids after the one before.
 
     Parameters
     ----------
     graphs : iterable of PoseGraph
-        The graphs, all in 2D or all in 3D.
-    between : (edges, measurements) or (edges, measurements, information), optional
-        Edges between the graphs, in the ids of the merged graph, as `PoseGraph.with_edges` takes
-        them. They come after the edges of the graphs, which keep their order.
+        The graphs, all in 2D or all in 3D. Each may have a frame of its own.
+    between : (ends, measurements) or (ends, measurements, information) or PoseGraph, optional
+        Links between the graphs. `ends` is (l, 4), rows of graph, id, graph, id, with the graphs
+        counted from 0 and the ids they have there; or (l, 2), pairs of ids in the merged graph.
+        Measurements and information are as `PoseGraph.with_edges` takes them. Of a PoseGraph its
+        edges and their labels are taken, in the ids of the merged graph. Links come after the edges
+        of the graphs, which keep their order.
     offsets : sequence of int, optional
         What to add to the ids of each graph, the first included; ``[0, 0]`` keeps those of two.
+    common_frame : bool
+        Whether the fixed nodes of all graphs are in one frame, and all remain fixed. By default,
+        of the graphs that links connect, the first one with fixed nodes keeps them, and those of
+        the others are fixed no longer.
 
     Returns
     -------
     PoseGraph
-        It has poses if all graphs have, each in the frame of its own graph: optimize before you
-        compare poses of different graphs. All fixed nodes remain fixed. Edges without a label get
-        -1 among integers and the empty string among strings. It has stamps if all graphs have.
-        Notes tell what became of the poses, and of stamps that are lost.
+        It has poses if all graphs have, each in the frame of its own graph: solve before you
+        compare poses of different graphs. Graphs that no link connects remain components of their
+        own. Edges without a label get -1 among integers and the empty string among strings. It has
+        stamps if all graphs have. Notes tell which graphs are not connected, and what became of
+        poses, of fixed nodes and of stamps that are lost.
 
     Raises
     ------
     GraphError
         If an id occurs in two graphs after the shift, if 2D and 3D graphs, or stamps in seconds
-        and in nanoseconds, are mixed, or if the edges between them fail the checks of
-        `PoseGraph.with_edges`.
+        and in nanoseconds, are mixed, if a link names a graph or a node that is not there, or if
+        the links fail the checks of `PoseGraph.with_edges`.
+
+    Examples
+    --------
+    >>> import masat
+    >>> walk = masat.PoseGraph.from_arrays([(0, 1), (1, 2)], [(1, 0, 0), (1, 0, 0)])
+    >>> merged = masat.merge([walk, walk], ([(0, 2, 1, 0)], [(1, 0, 0)]))
+    >>> merged.ids.tolist()
+    [0, 1, 2, 1000000, 1000001, 1000002]
+    >>> masat.sessions(merged).tolist()
+    [0, 0, 0, 1, 1, 1]
     """
     if isinstance(graphs, PoseGraph):
         raise GraphError("give the graphs to merge as a list")
@@ -107,13 +133,11 @@ def merge(
         structure=structure,
     )
     merged = _with_measurements(merged, moved)
-    if between is None:
-        return merged
-    if not isinstance(between, tuple | list) or len(between) not in (2, 3):
-        raise GraphError(
-            "`between` must be (edges, measurements) or (edges, measurements, information)"
-        )
-    return merged.with_edges(*between, ids=[])
+    session = np.repeat(np.arange(len(parts)), [len(part) for part in parts])[order]
+    if between is not None:
+        merged = _linked(merged, between, parts, shifts)
+        merged = _with_note(merged, _unconnected(merged, session))
+    return merged if common_frame else _with_own_frames(merged, session)
 
 
 def _with_measurements(merged: PoseGraph, moved: list[tuple[PoseGraph, int]]) -> PoseGraph:
@@ -145,13 +169,110 @@ def _with_measurements(merged: PoseGraph, moved: list[tuple[PoseGraph, int]]) ->
     return merged.with_priors(priors) if priors else merged
 
 
+def _linked(
+    merged: PoseGraph,
+    between: PoseGraph | Sequence[ArrayLike],
+    parts: list[PoseGraph],
+    shifts: list[int],
+) -> PoseGraph:
+    """Return the merged graph with its links."""
+    if isinstance(between, PoseGraph):
+        return merged.with_edges(
+            between.edges, between.measurements, between.information, labels=between.labels, ids=[]
+        )
+    if not isinstance(between, tuple | list) or len(between) not in (2, 3):
+        raise GraphError(
+            "`between` must be (ends, measurements) or (ends, measurements, information), or a "
+            "graph whose edges are the links"
+        )
+    ends = checks.integers("the ends of links", between[0])
+    if ends.ndim == 2 and ends.shape[1] == 4:
+        ends = _merged_ids(ends, parts, shifts)
+    return merged.with_edges(ends, *between[1:], ids=[])
+
+
+def _merged_ids(ends: Ids, parts: list[PoseGraph], shifts: list[int]) -> Ids:
+    """Return the ids in the merged graph, (l, 2), of rows of graph, id, graph, id."""
+    out = np.empty((len(ends), 2), np.int64)
+    for column in (0, 1):
+        graph, ids = ends[:, 2 * column], ends[:, 2 * column + 1]
+        for k in np.flatnonzero((graph < 0) | (graph >= len(parts)))[:1]:
+            raise GraphError(
+                f"link {k} names graph {graph[k]}, but there are {len(parts)}, counted from 0"
+            )
+        for g, (part, shift) in enumerate(zip(parts, shifts, strict=True)):
+            rows = np.flatnonzero(graph == g)
+            for k in rows[~np.isin(ids[rows], part.ids)][:1]:
+                raise GraphError(f"link {k} names node {ids[k]} of graph {g}, which has no such id")
+            out[rows, column] = shifted(ids[rows], shift)
+    return out
+
+
+def _unconnected(merged: PoseGraph, session: Ids) -> str | None:
+    """Say which sessions are not connected, given that of each node, (n,)."""
+    count = int(session.max()) + 1
+    joint = np.stack([session, count + merged.components], axis=1)
+    group = _connected(count + int(merged.components.max()) + 1, joint)[:count]
+    if group.max() == 0:
+        return None
+    maps = [", ".join(map(str, np.flatnonzero(group == g))) for g in np.unique(group)]
+    return (
+        f"no links connect these maps, each of which stays in a frame of its own: graphs "
+        f"{'; '.join(maps)}"
+    )
+
+
+def _connected(count: int, pairs: Ids) -> Indices:
+    """Return the connected component of each of so many things, by pairs of them."""
+    structure = Structure(np.arange(count), pairs, np.empty(0, np.int64), 3)
+    return structure.components
+
+
+def _with_own_frames(merged: PoseGraph, session: Ids) -> PoseGraph:
+    """Return the graph with, in each component, the fixed nodes of its first session with any."""
+    where = merged.index(merged.fixed)
+    if len(where) < 2:
+        return merged
+    component, own = merged.components[where], session[where]
+    first = np.full(int(merged.components.max()) + 1, len(session))
+    np.minimum.at(first, component, own)
+    stays: Flags = own == first[component]
+    if stays.all():
+        return merged
+    others = ", ".join(map(str, np.unique(own[~stays])))
+    note = (
+        f"the fixed nodes of graphs {others} are fixed no longer, since links connect these to "
+        "another graph with fixed nodes, in a frame of its own; if all are in one frame, say so "
+        "with common_frame=True (--common-frame)"
+    )
+    return _with_note(merged.with_fixed(merged.fixed[stays]), note)
+
+
+def _with_note(graph: PoseGraph, note: str | None) -> PoseGraph:
+    return graph if note is None else replace(graph, notes=(*graph.notes, note))
+
+
 def _offsets(parts: list[PoseGraph]) -> list[int]:
-    out, last = [0], _ends(parts[0])[1]
-    for part in parts[1:]:
-        first, end = _ends(part)
-        out.append(last + 1 - first)
+    """Return what to add to the ids of each graph."""
+    ends = [_ends(part) for part in parts]
+    gaps = [_gap(a, b) for a, b in pairwise(parts)]
+    largest = max(max(-first, last) for first, last in ends)
+    block = _MIN_BLOCK
+    while block < max(10 * (largest + 1), 2 * max(gaps, default=0)):
+        block *= 10
+    if block * len(parts) < 2**63:
+        return [k * block for k in range(len(parts))]
+    out, last = [0], ends[0][1]
+    for (first, end), gap in zip(ends[1:], gaps, strict=True):
+        out.append(last + max(gap, _MIN_BLOCK) - first)
         last = end + out[-1]
     return out
+
+
+def _gap(before: PoseGraph, after: PoseGraph) -> int:
+    """Return a step of ids that tells `masat.sessions` where the second graph begins."""
+    steps = [int(p.ids[k + 1]) - int(p.ids[k]) for p, k in ((before, -2), (after, 0)) if len(p) > 1]
+    return NEW_SESSION * max(steps, default=1) + 1
 
 
 def _ends(part: PoseGraph) -> tuple[int, int]:

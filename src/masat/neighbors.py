@@ -68,6 +68,18 @@ def cycle_distances(
 ) -> Floats:
     """Return about the chi2 of the cycles that pairs of loop closures make, (p,).
 
+    The parameters are those of `cycle_residuals`.
+    """
+    e, variance = cycle_residuals(pairs, ends, measurements, variances, poses, along)
+    distance: Floats = (np.square(e) / variance).sum(axis=1)
+    return distance
+
+
+def cycle_residuals(
+    pairs: Ids, ends: Ids, measurements: Floats, variances: Floats, poses: Floats, along: Floats
+) -> tuple[Floats, Floats]:
+    """Return by how much the cycles of pairs of loop closures do not close, and its variances.
+
     Parameters
     ----------
     pairs : ndarray of int, (p, 2)
@@ -79,9 +91,13 @@ def cycle_distances(
     variances : ndarray, (c, 3) or (c, 6)
         Variances of the measurements.
     poses : ndarray, (n, 3) or (n, 7)
-        Poses; only those of nodes near each other are compared.
+        Poses; of a pair, only those of the first ends are compared, and those of the second ends.
     along : ndarray, (n, 3) or (n, 6)
         Sums of the variances of odometry up to each node, as in `variance_along`.
+
+    Returns
+    -------
+    residuals, variances : ndarray, (p, 3) or (p, 6)
     """
     i, j = pairs.T
     a, b = ends.T
@@ -95,8 +111,7 @@ def cycle_distances(
     # A rotation moves what is an arm's length away.
     arm = np.sum([np.linalg.norm(p[:, :d], axis=1) for p in (there, back, z[i])], axis=0)
     variance[:, :d] += (variance[:, d:].max(axis=1, initial=0) * np.square(arm))[:, None]
-    distance: Floats = (np.square(e) / variance).sum(axis=1)
-    return distance
+    return e, variance
 
 
 def variance_along(graph: PoseGraph, trusted: Flags) -> Floats:

@@ -15,6 +15,8 @@ from masat.errors import GraphError
 # Nested dissection takes about 4 us a node and saves up to half of each factorization. It pays off
 # in the few factorizations of a solve above this many operations a node by minimum degree.
 _MIN_DISSECTED_OPERATIONS = 3e5
+# A session begins where ids jump by more than so many times the steps before and after.
+NEW_SESSION = 10_000
 
 
 class Structure:
@@ -75,6 +77,16 @@ class Structure:
     def components(self) -> Indices:
         """Connected component of each node, (n,), numbered in the order of their smallest ids."""
         return locked(self.topology.components())
+
+    @cached_property
+    def session_begins(self) -> Ids:
+        """Indices of the nodes that begin another session, ascending: where the ids jump."""
+        if len(self.ids) < 3 or checks.without_gaps(self.ids):
+            return locked(np.empty(0, np.int64))
+        # Differences of 64-bit integers fit only in unsigned ones.
+        steps = np.diff(self.ids.view(np.uint64)).astype(np.float64)
+        around = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
+        return locked(1 + np.flatnonzero(steps > NEW_SESSION * around))
 
     @cached_property
     def gauge(self) -> Ids:

@@ -171,13 +171,16 @@ def decide(
     progress = progress or Progress()
     closures = Closures(graph, trusted)
     progress.tell("comparing all loop closures with each other")
+    joining = joining_closures(closures)
+    joined = closures.trusted.copy()
+    joined[joining] = True
+    # Trusted edges contradict no closure between parts that they leave unconnected.
+    connected = closures if len(joining) == 0 else Closures(graph, joined)
     cheap = closures.graph.elimination.operations(graph.dof) < _EXPENSIVE
-    scale = odometry_allows(closures)
+    scale = odometry_allows(connected)
     fit = fit_of_all(closures, scale, start, search) if scale is not None and cheap else None
     if fit is not None and len(fit.released) == 0:
         return _decision_of_fit(closures, fit)
-    joined = closures.trusted.copy()
-    joined[joining_closures(closures)] = True
     best = best_scaled(graph, joined, progress)
     trusting = closures.trusted.copy()
     for _ in range(_MAX_RELEASED):

@@ -133,7 +133,7 @@ def _compared(closures: Closures, graph: PoseGraph, chosen: Ids, covariance: Flo
     solved = np.linalg.solve(joint, e[..., None])[..., 0]
     distance = np.einsum("ki,ki->k", e, solved)
     log_likelihood = -(distance + np.linalg.slogdet(2 * np.pi * joint)[1]) / 2
-    return Prediction(distance, log_likelihood + _log_volume(poses))
+    return Prediction(distance, log_likelihood + log_volume(poses))
 
 
 def _residuals(closures: Closures, poses: Floats, chosen: Ids) -> Floats:
@@ -142,7 +142,7 @@ def _residuals(closures: Closures, poses: Floats, chosen: Ids) -> Floats:
     return lie.local(closures.graph.measurements[edges], lie.between(poses[i], poses[j]))
 
 
-def _log_volume(poses: Floats) -> float:
+def log_volume(poses: Floats) -> float:
     """Return the logarithm of the volume of the residuals that a false closure may have."""
     d = 2 if poses.shape[1] == 3 else 3
     extent = np.maximum(np.ptp(poses[:, :d], axis=0), 1.0)
