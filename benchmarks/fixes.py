@@ -13,6 +13,7 @@ import argparse
 import sys
 import tempfile
 import warnings
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,10 @@ def with_fixes(graph: masat.PoseGraph, poses: Floats, moved: Floats) -> masat.Po
     return graph.with_fixed([]).with_priors(masat.gps(graph.ids[nodes], where, _SIGMA))
 
 
+def _read_and_solved(path: Path) -> masat.Result:
+    return masat.solve(masat.read(path), threads=1)
+
+
 def cost(names: list[str]) -> None:
     """Print the time from the file to the map with fixes and without."""
     print("file to map, medians in ms; wanted ratio at most 1.2")
@@ -59,12 +64,7 @@ def cost(names: list[str]) -> None:
             plain, fixed = Path(folder) / "plain.g2o", Path(folder) / "fixed.g2o"
             masat.write(graph, plain)
             masat.write(with_fixes(graph, alone.poses, motion(0, graph.dimension)), fixed)
-            took = medians(
-                {
-                    str(path): lambda path=path: masat.solve(masat.read(path), threads=1)
-                    for path in (plain, fixed)
-                }
-            )
+            took = medians({str(path): partial(_read_and_solved, path) for path in (plain, fixed)})
             a, b = took.values()
             print(f"{Path(name).name:24} {a:8.1f} {b:8.1f} {b / a:6.2f}", flush=True)
 
