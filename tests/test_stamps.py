@@ -221,7 +221,9 @@ def test_the_nodes_of_one_robot_can_be_chosen():
     both = merge([chain(), chain([10.5, 11.5, 12.5, 13.5])])
     assert_allclose(both.pose_at(12.0, nodes=range(4)), (1.5, 0, 0))
     assert_allclose(both.pose_at(12.0, nodes=range(10**6, 10**6 + 4)), (1.5, 0, 0))
-    with pytest.raises(GraphError, match=r"12\.8 is between the nodes 1000002 and 2, which no edges"):
+    with pytest.raises(
+        GraphError, match=r"12\.8 is between the nodes 1000002 and 2, which no edges"
+    ):
         both.pose_at(12.8)
     with pytest.raises(GraphError, match="`nodes` is empty"):
         both.pose_at(12.0, nodes=[])

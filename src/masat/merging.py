@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -254,7 +255,7 @@ def _with_note(graph: PoseGraph, note: str | None) -> PoseGraph:
 def _offsets(parts: list[PoseGraph]) -> list[int]:
     """Return what to add to the ids of each graph."""
     ends = [_ends(part) for part in parts]
-    gaps = [_gap(a, b) for a, b in zip(parts, parts[1:], strict=False)]
+    gaps = [_gap(a, b) for a, b in pairwise(parts)]
     largest = max(max(-first, last) for first, last in ends)
     block = _MIN_BLOCK
     while block < max(10 * (largest + 1), 2 * max(gaps, default=0)):
