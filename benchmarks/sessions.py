@@ -108,14 +108,6 @@ def solved(graph: PoseGraph) -> masat.Result:
         return masat.solve(graph)
 
 
-def _solved_again(graph: PoseGraph) -> masat.Result:
-    return solved(unused(graph))
-
-
-def _solved_merged(pieces: Cut) -> masat.Result:
-    return solved(masat.merge(pieces.parts, pieces.links))
-
-
 def interleaved(tasks: dict[str, Callable[[], object]]) -> dict[str, float]:
     """Return the median time of each task in ms."""
     times: dict[str, list[float]] = {name: [] for name in tasks}
@@ -132,20 +124,19 @@ def merged_table(names: list[str]) -> None:
     print("merged sessions against the uncut graph: chi2 within 1e-9, time at most 1.3 times")
     print(
         f"{'':<12}{'sessions':>9}{'links':>7}{'chi2':>16}{'gap':>10}{'uncut ms':>10}"
-        f"{'merged ms':>11}"
-        f"{'ratio':>8}"
+        f"{'merged ms':>11}{'ratio':>8}"
     )
     for name in names:
         graph = quietly_read(CASES[name].source)
         best = solved(graph).chi2
         for count in COUNTS:
             pieces = cut(graph, count)
-            merged = solved(masat.merge(pieces.parts, pieces.links))
+            merged = _merged(pieces)
             gap = abs(merged.chi2 / best - 1)
             times = interleaved(
                 {
-                    "uncut": partial(_solved_again, graph),
-                    "merged": partial(_solved_merged, pieces),
+                    "uncut": partial(_uncut, graph),
+                    "merged": partial(_merged, pieces),
                 }
             )
             ratio = times["merged"] / times["uncut"]
@@ -157,10 +148,20 @@ def merged_table(names: list[str]) -> None:
             )
 
 
+def _uncut(graph: PoseGraph) -> masat.Result:
+    return solved(unused(graph))
+
+
+def _merged(pieces: Cut) -> masat.Result:
+    return solved(masat.merge(pieces.parts, pieces.links))
+
+
 def false_table(names: list[str], seeds: int) -> None:
     """Print what a robust solve makes of false links."""
     print()
-    print("with 30 % false links and robust: chi2 of the true edges over their lowest, minus 1")
+    print(
+        "with 30 % false links and robust=True: chi2 of the true edges over their lowest, minus 1"
+    )
     print(
         f"{'':<12}{'sessions':>9}{'kind':>9}{'seed':>6}{'true':>6}{'false':>7}{'kept: true':>12}"
         f"{'false':>7}{'excess':>10}{'s':>8}{'units':>8}"

@@ -91,3 +91,44 @@ def test_bad_usage_is_code_2_and_writes_nothing(simulate, tmp_path, arguments, s
     assert said in err
     assert "Traceback" not in err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("world", "sigma", "frame"),
+    [("manhattan", "0.05,0.05,0.02", "500,200,120"), ("sphere", "0.05,0.02", "500,200,5,120")],
+)
+def test_fixes_and_landmarks_are_written(simulate, world, sigma, frame):
+    code, text, err = simulate(
+        world, "--nodes", 400, "--noise", sigma, "--gps", "0.1:0.5:0.2", "--frame", frame,
+        "--landmarks", "20:0.1:6", "-o", "w.g2o", "--truth", "truth.g2o",
+    )  # fmt: skip
+    assert (code, err) == (0, "")
+    assert "40 fixes, 8 of them bad, 20 landmarks with 200 observations" in text
+    graph, truth = masat.read("w.g2o"), masat.read("truth.g2o")
+    assert (graph.poses, graph.points) == (None, None)
+    assert (len(graph.priors), len(graph.landmarks)) == (40, 20)
+    assert truth.chi2 < 1e-6
+    d = graph.dimension
+    assert np.array_equal(truth.poses[0, :d].round(), [500, 200, 5][:d]) or world == "sphere"
+    distance = np.linalg.norm(
+        graph.priors.measurements[:, :d] - truth.poses[truth.index(graph.priors.ids), :d], axis=1
+    )
+    assert (distance > 40).sum() == 8
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--gps", "0.1"), "as in 0.05:2"),
+        (("--gps", "0.1:x"), "as in 0.05:2"),
+        (("--gps", "2:1"), "must be from 0 to 1"),
+        (("--landmarks", "many"), "as in 200"),
+        (("--landmarks", "3:1:2:3"), "as in 200"),
+        (("--frame", "1,2,3"), "--frame is the frame of --gps"),
+        (("--gps", "0.1:1", "--frame", "1,2"), "needs 3 numbers: EAST,NORTH,HEADING"),
+    ],
+)
+def test_bad_fixes_and_landmarks_are_refused(simulate, arguments, message):
+    code, _, err = simulate("manhattan", "--nodes", 100, *arguments, "-o", "w.g2o")
+    assert code == 2
+    assert message in err

@@ -22,7 +22,7 @@ from masat.errors import (
     OptimizationError,
 )
 from masat.evaluation import Evaluation, PoseErrors, evaluate
-from masat.formats import read, write
+from masat.formats import read, read_links, write
 from masat.geodesy import east_north_up
 from masat.graph import PoseGraph
 from masat.initializers import initialize
@@ -69,6 +69,7 @@ __all__ = [
     "plot",
     "pose_priors",
     "read",
+    "read_links",
     "relative_covariances",
     "sessions",
     "solve",

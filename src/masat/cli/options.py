@@ -32,6 +32,11 @@ def _set_max_bytes(context: click.Context, parameter: click.Parameter, value: in
 
 def graph_file(command: F) -> F:
     """Add FILE and how to read it, for `load`."""
+    return reading(click.argument("file", type=click.Path(path_type=Path))(command))
+
+
+def reading(command: F) -> F:
+    """Add how to read FILE, for `load`."""
     for option in (
         click.option(
             "--indefinite",
@@ -56,7 +61,6 @@ def graph_file(command: F) -> F:
             callback=_set_max_bytes,
             help="Largest size of FILE's text, decompressed.",
         ),
-        click.argument("file", type=click.Path(path_type=Path)),
     ):
         command = option(command)
     return command

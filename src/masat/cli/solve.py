@@ -147,14 +147,15 @@ def solve(
         decision = result.decision and result.decision.to_dict()
         show.as_json(about | show.summary(result) | {"certificate": proof, "decision": decision})
     elif not quiet:
-        _print(result, times, [p for p in (out, rejected, save, picture) if p is not None])
+        print_result(result, times, [p for p in (out, rejected, save, picture) if p is not None])
     if not result.converged:
         if quiet or as_json:
             click.echo(f"masat: {file}: {result.message}", err=True)
         ctx.exit(EXIT_NOT_CONVERGED)
 
 
-def _print(result: Result, times: dict[str, float], written: list[Path]) -> None:
+def print_result(result: Result, times: dict[str, float], written: list[Path]) -> None:
+    """Print what a solve found, and where it is written."""
     graph = result.graph
     gauge = ", ".join(map(str, result.gauge[:5])) + (", ..." if len(result.gauge) > 5 else "")
     show.rows(

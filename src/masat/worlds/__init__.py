@@ -1,4 +1,6 @@
-"""Simulated worlds: the true graph of a robot's walk, noise, and false loop closures.
+"""Simulated worlds: the true graph of a robot's walk, and what is added to it.
+
+Added are noise, false loop closures, position fixes and landmarks.
 
 A world is one file in this folder and one line of `WORLDS`.
 """
@@ -10,8 +12,10 @@ from collections.abc import Callable
 from masat.graph import PoseGraph
 from masat.worlds.city import city
 from masat.worlds.false_closures import add_false_closures, normalized
+from masat.worlds.fixes import add_fixes
 from masat.worlds.garage import garage
 from masat.worlds.grid import grid
+from masat.worlds.landmarks import add_landmarks
 from masat.worlds.manhattan import manhattan
 from masat.worlds.noise import perturb
 from masat.worlds.sphere import sphere
@@ -30,6 +34,8 @@ WORLDS: dict[str, Callable[..., PoseGraph]] = {
 __all__ = [
     "WORLDS",
     "add_false_closures",
+    "add_fixes",
+    "add_landmarks",
     "city",
     "garage",
     "grid",

@@ -40,7 +40,8 @@ def perturb(graph: PoseGraph, sigma: Sequence[float], *, seed: int = 0) -> PoseG
     Returns
     -------
     PoseGraph
-        The graph with noisy measurements, diagonal information, and its own poses. The information
+        The graph with noisy measurements, diagonal information, and its own poses, priors and
+        landmarks. The information
         is 1 / sigma^2, for rotations in 3D 4 / sigma^2, because the vector part of a quaternion is
         half the rotation vector. For a sigma of 0, see `ZERO_SIGMA`.
 
@@ -89,6 +90,8 @@ def perturb(graph: PoseGraph, sigma: Sequence[float], *, seed: int = 0) -> PoseG
         fixed=graph.fixed.tolist(),
         notes=graph.notes,
         stamps=graph.stamps,
+        priors=graph.priors,
+        landmarks=graph.landmarks,
     )
 
 
