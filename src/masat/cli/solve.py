@@ -171,7 +171,7 @@ def print_result(result: Result, times: dict[str, float], written: list[Path]) -
             ("stopped", result.message),
             ("optimum", _optimum(result.certificate)),
             ("reduced chi2", _quality(result.reduced_chi2)),
-            ("not optimized", f"node {gauge}"),
+            ("not optimized", f"node {gauge}" if gauge else "nothing: measurements hold all nodes"),
             ("time", ", ".join(f"{k} {show.duration(v)}" for k, v in times.items())),
             ("written", ", ".join(map(str, written)) or "nothing: name a file with -o"),
         ]
