@@ -139,7 +139,7 @@ def solve(
         search: Guess | None = None
         if init == "auto":
             begin, search = chordal, partial(_lowest, seed=seed, progress=progress)
-        decision = decide(relative, trusted, start=begin, search=search, progress=progress)
+        decision = decide(relative, trusted, initialize=begin, search=search, progress=progress)
         rooted, trusted = rooted.without_edges(~decision.kept), None
     assembly = None
     guess: PoseGraph

@@ -205,13 +205,13 @@ def _closures(result: Result) -> list[tuple[str, str]]:
         rows.append(
             ("rejected", f"{len(own)}: {reason} ({shown}{', ...' if len(own) > 3 else ''})")
         )
-    if decision.rival is not None:
-        keeps = int((decision.rival.kept & ~decision.kept).sum())
-        rejects = int((decision.kept & ~decision.rival.kept).sum())
+    if decision.runner_up is not None:
+        keeps = int((decision.runner_up.kept & ~decision.kept).sum())
+        rejects = int((decision.kept & ~decision.runner_up.kept).sum())
         rows.append(
             (
                 "nearly as likely",
-                f"cost {decision.rival.cost:.6g}: {keeps} more kept, {rejects} more rejected",
+                f"cost {decision.runner_up.cost:.6g}: {keeps} more kept, {rejects} more rejected",
             )
         )
     return rows

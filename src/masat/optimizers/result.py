@@ -181,7 +181,7 @@ class Result:
                 "scales": self.decision.scales,
                 "used": self.decision.used,
                 "released": self.decision.released.tolist(),
-                "rival_cost": self.decision.rival and self.decision.rival.cost,
+                "runner_up_cost": self.decision.runner_up and self.decision.runner_up.cost,
             },
             "notes": graph.notes,
         }
@@ -192,7 +192,9 @@ class Result:
             "weights": self.weights,
             "kept": self.kept,
             "closures": self.closures,
-            "rival_kept": self.decision and self.decision.rival and self.decision.rival.kept,
+            "runner_up_kept": self.decision
+            and self.decision.runner_up
+            and self.decision.runner_up.kept,
         }
         buffer = io.BytesIO()
         np.savez_compressed(
@@ -273,12 +275,12 @@ def _certificate(saved: dict[str, Any] | None) -> Certificate | None:
 
 
 def _decision(saved: dict[str, Any] | None, arrays: Any) -> Decision | None:
-    from masat.robust.decision import Decision, Rival
+    from masat.robust.decision import Decision, RunnerUp
     from masat.robust.redundancy import Scales
 
     if saved is None:
         return None
-    cost = saved["rival_cost"]
+    cost = saved["runner_up_cost"]
     return Decision(
         kept=locked(arrays["kept"]),
         closures=locked(arrays["closures"]),
@@ -286,6 +288,6 @@ def _decision(saved: dict[str, Any] | None, arrays: Any) -> Decision | None:
         scales=Scales(*saved["scales"]),
         used=Scales(*saved["used"]),
         released=locked(np.array(saved["released"], np.int64)),
-        rival=None if cost is None else Rival(locked(arrays["rival_kept"]), cost),
+        runner_up=None if cost is None else RunnerUp(locked(arrays["runner_up_kept"]), cost),
         poses=locked(arrays["poses"]),
     )

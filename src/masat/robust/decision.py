@@ -32,11 +32,11 @@ _MIN_DOUBTFUL, _MAX_OPERATIONS = 0.01, 5.0
 _EXPENSIVE = 5e9
 # Gates by which chi2 of the trusted edges alone may exceed what is expected.
 _CONTRADICTION = 4.0
-# A rival whose cost is higher by no more than so many gates is near.
-_NEAR_RIVAL = 2.0
+# A second hypothesis whose cost is higher by no more than so many gates is near.
+_NEAR = 2.0
 
 
-class Rival(NamedTuple):
+class RunnerUp(NamedTuple):
     """Another hypothesis that is nearly as likely.
 
     Attributes
@@ -77,7 +77,7 @@ class Decision:
         The factors with which the closures were judged; 1 unless the information was far off.
     released : ndarray of int64
         Indices of trusted edges that all closures across them contradict, and that are not kept.
-    rival : Rival or None
+    runner_up : RunnerUp or None
         Another hypothesis, if its cost is not much higher.
     poses : ndarray, (n, 3) or (n, 7)
         The map of the decision, near its minimum.
@@ -93,7 +93,7 @@ class Decision:
     scales: Scales
     used: Scales
     released: Ids
-    rival: Rival | None
+    runner_up: RunnerUp | None
     poses: Floats
     from_start: bool = False
     notes: tuple[str, ...] = ()
@@ -105,7 +105,7 @@ class Decision:
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON says of a decision."""
         rejected = self.closures[~self.closures["kept"]]
-        rival = self.rival
+        runner_up = self.runner_up
         return {
             "closures": len(self.closures),
             "kept": int(self.closures["kept"].sum()),
@@ -113,11 +113,11 @@ class Decision:
             "scales": self.scales._asdict(),
             "used_scales": self.used._asdict(),
             "released": self.released.tolist(),
-            "rival": rival
+            "runner_up": runner_up
             and {
-                "cost": rival.cost,
-                "keeps": np.flatnonzero(rival.kept & ~self.kept).tolist(),
-                "rejects": np.flatnonzero(self.kept & ~rival.kept).tolist(),
+                "cost": runner_up.cost,
+                "keeps": np.flatnonzero(runner_up.kept & ~self.kept).tolist(),
+                "rejects": np.flatnonzero(self.kept & ~runner_up.kept).tolist(),
             },
             "rejected": [
                 {
@@ -133,7 +133,7 @@ def decide(
     graph: PoseGraph,
     trusted: ArrayLike | None = None,
     *,
-    start: Guess = chordal,
+    initialize: Guess = chordal,
     search: Guess | None = None,
     progress: Progress | None = None,
 ) -> Decision:
@@ -152,7 +152,7 @@ def decide(
     trusted : array_like of bool, (m,), optional
         The edges to trust. Default: odometry, the first edge of each pair of consecutive ids.
         Parts that they leave unconnected are joined by the closures that agree with most others.
-    start : callable, optional
+    initialize : callable, optional
         The initial guess of all edges, where the trusted ones do not contradict the others.
     search : callable, optional
         From a minimum in which all edges fit to a lower one, if there is one. Default: no search.
@@ -178,7 +178,7 @@ def decide(
     connected = closures if len(joining) == 0 else Closures(graph, joined)
     cheap = closures.graph.elimination.operations(graph.dof) < _EXPENSIVE
     scale = odometry_allows(connected)
-    fit = fit_of_all(closures, scale, start, search) if scale is not None and cheap else None
+    fit = fit_of_all(closures, scale, initialize, search) if scale is not None and cheap else None
     if fit is not None and len(fit.released) == 0:
         return _decision_of_fit(closures, fit)
     best = best_scaled(graph, joined, progress)
@@ -236,7 +236,7 @@ def _decision_of_fit(closures: Closures, fit: Fit) -> Decision:
         scales=fit.scales,
         used=Scales(1.0, 1.0),
         released=locked(fit.released),
-        rival=None,
+        runner_up=None,
         poses=locked(poses),
         from_start=True,
     )
@@ -252,7 +252,7 @@ def _decision(best: Hypothesis, trusted: Flags, interrupted: bool) -> Decision:
         scales=best.scales,
         used=best.used,
         released=locked(np.flatnonzero(trusted & ~kept)),
-        rival=_rival(best),
+        runner_up=_runner_up(best),
         poses=locked(growth.poses),
         notes=_notes(best),
     )
@@ -273,11 +273,11 @@ def _notes(best: Hypothesis) -> tuple[str, ...]:
     )
 
 
-def _rival(best: Hypothesis) -> Rival | None:
+def _runner_up(best: Hypothesis) -> RunnerUp | None:
     other, closures = best.decided.other, best.closures
     if other is None or (other == best.growth.kept).all():
         return None
     total = best.decided.other_cost + best.price_of_scales
-    if total > best.cost + _NEAR_RIVAL * GATE[closures.graph.dof]:
+    if total > best.cost + _NEAR * GATE[closures.graph.dof]:
         return None
-    return Rival(locked(closures.kept_edges(other)), total)
+    return RunnerUp(locked(closures.kept_edges(other)), total)

@@ -29,7 +29,7 @@ _FEW = 0.35
 # Fraction of new closures below which the map predicts what it did before.
 _NEXT_TO_NONE = 0.005
 # Squared distances beyond this many gates are not looked at again until nothing else is left.
-_HOPELESS = 100.0
+_FAR_OFF = 100.0
 # Gates within which a group has to be for its members to be predicted one by one.
 _MAX_DIFFERENCE = 4.0
 
@@ -70,7 +70,7 @@ class Growth:
         self.supported[agree.ravel()] = True
         # Closures that agree, by way of others: they are likely all true or all false.
         self.runs: Indices = connected(count, agree)
-        self.spokesman = spokesmen(count, agree)
+        self.representative = representatives(count, agree)
 
     @property
     def poses(self) -> Floats:
@@ -91,8 +91,8 @@ class Growth:
         everywhere : bool
             Whether to predict all closures again where nothing is likely near the last ones.
         thorough : bool
-            Whether to predict each closure by itself in the end, since the one that spoke for it
-            may be false.
+            Whether to predict each closure by itself in the end, since the one that represents
+            it may be false.
         """
         fresh = not self.kept.any()
         predicted, stalls = np.zeros_like(self.kept), 0
@@ -117,7 +117,7 @@ class Growth:
                 if not thorough:
                     break
                 thorough = False
-                self._predict(np.flatnonzero(~self.kept & self._borrowed & ~self._hopeless))
+                self._predict(np.flatnonzero(~self.kept & self._borrowed & ~self._far_off))
             else:
                 stalls += 1
                 # The map has changed, so that what did not fit may do so now.
@@ -141,10 +141,10 @@ class Growth:
             far = self.kept & (self.chi2[self._closures.edges] > FAR_GATE[self._closures.graph.dof])
             if far.any():
                 # A group that agrees is as a rule true or false as a whole.
-                lost = np.bincount(self.spokesman[far], minlength=len(far))
-                of = np.bincount(self.spokesman[self.kept], minlength=len(far))
+                lost = np.bincount(self.representative[far], minlength=len(far))
+                of = np.bincount(self.representative[self.kept], minlength=len(far))
                 split = np.zeros(len(far), np.bool_)
-                split[new] = (lost > _MAX_LOST * of)[self.spokesman[new]]
+                split[new] = (lost > _MAX_LOST * of)[self.representative[new]]
                 self.kept &= ~(far | split)
                 self.refused |= far | split
                 self._set_map(iterations)
@@ -170,7 +170,7 @@ class Growth:
     @property
     def candidates(self) -> Flags:
         """Closures that others support and that the map may come to believe, (c,)."""
-        return ~self.kept & ~self.banned & self.supported & ~self._hopeless
+        return ~self.kept & ~self.banned & self.supported & ~self._far_off
 
     def finish(self) -> None:
         """Believe what is likely now that no other closure can follow."""
@@ -180,9 +180,9 @@ class Growth:
             self._refine()
 
     @property
-    def _hopeless(self) -> Flags:
+    def _far_off(self) -> Flags:
         """Closures so far from their prediction that they are looked at last, (c,)."""
-        return self.distance > _HOPELESS * GATE[self._closures.graph.dof]
+        return self.distance > _FAR_OFF * GATE[self._closures.graph.dof]
 
     @property
     def _near_gate(self) -> Flags:
@@ -222,14 +222,14 @@ class Growth:
         return likely[np.isin(likely, self._likely(odds))]
 
     def _near(self, new: Ids) -> Flags:
-        """Return the closures near new ones that are not hopeless, (c,)."""
+        """Return the closures near new ones that are not far off, (c,)."""
         n = len(self._closures.graph)
         ends = self._closures.ends[new].ravel()
         begun = np.bincount(np.maximum(ends - NEAR, 0), minlength=n + 1)
         ended = np.bincount(np.minimum(ends + NEAR + 1, n), minlength=n + 1)
         touched = np.cumsum(begun - ended)[:n] > 0
         here = np.any(touched[self._closures.ends], axis=1)
-        near: Flags = ~self.kept & here & ~self._hopeless
+        near: Flags = ~self.kept & here & ~self._far_off
         return near
 
     def _predict(self, chosen: Ids) -> None:
@@ -241,13 +241,13 @@ class Growth:
     def _predict_runs(self, which: Flags) -> None:
         """Predict one closure for each few that agree with it."""
         members = np.flatnonzero(which)
-        speaks = self.spokesman[members]
-        # Where it was judged already, the others speak for themselves.
-        speaks = np.where(which[speaks], speaks, members)
-        self._predict(np.unique(speaks))
-        self.distance[members] = self.distance[speaks]
-        self.log_ratio[members] = self.log_ratio[speaks]
-        self._borrowed[members] = members != speaks
+        chosen = self.representative[members]
+        # Where that one was judged already, each is predicted by itself.
+        chosen = np.where(which[chosen], chosen, members)
+        self._predict(np.unique(chosen))
+        self.distance[members] = self.distance[chosen]
+        self.log_ratio[members] = self.log_ratio[chosen]
+        self._borrowed[members] = members != chosen
 
     def _refine(self) -> None:
         """Keep exactly the closures within the gate of the map that they make."""
@@ -273,7 +273,7 @@ class Growth:
         self.map = result.graph
 
 
-def spokesmen(count: int, agree: Ids) -> Ids:
+def representatives(count: int, agree: Ids) -> Ids:
     """Return for each closure the one that agrees with most others, among it and those agreeing."""
     degree = np.bincount(agree.ravel(), minlength=count)
     rank = degree * (count + 1) + np.arange(count, 0, -1)
@@ -281,5 +281,5 @@ def spokesmen(count: int, agree: Ids) -> Ids:
     i, j = agree.T
     np.maximum.at(best, i, rank[j])
     np.maximum.at(best, j, rank[i])
-    spokesmen: Ids = count - best % (count + 1)
-    return spokesmen
+    representatives: Ids = count - best % (count + 1)
+    return representatives

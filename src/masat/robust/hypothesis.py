@@ -38,7 +38,7 @@ class Hypothesis:
     used : Scales
         The factors of the covariances, which are 1 at first.
     decided : Decided
-        The map, its cost, and its rival.
+        The map, its cost, and the second hypothesis.
     first : ndarray, (c,)
         Squared distances of the closures from what the trusted edges alone predict.
     checks : Redundancy
@@ -68,9 +68,9 @@ class Hypothesis:
     def price_of_scales(self) -> float:
         """What wider covariances take from the likelihood, as far as the edges are checked."""
         trusted = self.closures.trusted[self.closures.kept_edges(self.growth.kept)]
-        share = self.checks.share
+        numbers = self.checks.redundancy_numbers
         of_trusted, of_closures = (float(np.log(scale or 1.0)) for scale in self.used)
-        return float(share[trusted].sum() * of_trusted + share[~trusted].sum() * of_closures)
+        return float(numbers[trusted].sum() * of_trusted + numbers[~trusted].sum() * of_closures)
 
     @property
     def scales(self) -> Scales:

@@ -96,7 +96,7 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
             trial.grow()
             found = cost(closures, trial.kept, trial.chi2)
             gain = best.cost - found
-            # Its rival is the map that it replaces, unless that came from the same mistake.
+            # The map that it replaces is the second hypothesis.
             best = Decided(trial, found, best.growth.kept, best.cost)
             # What was refused may be right beside the new map.
             tried = {move}
@@ -110,7 +110,7 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
 def _made(closures: Closures, best: Decided, move: Move, progress: Progress) -> Growth | None:
     """Return the map after a move, grown if that can pay; None if it is not worth a look."""
     growth, few = best.growth, closures.few
-    members = np.flatnonzero((growth.spokesman == move.group) & (growth.kept != move.into))
+    members = np.flatnonzero((growth.representative == move.group) & (growth.kept != move.into))
     progress.tell(f"trying {len(members)} loop closures {'in' if move.into else 'out'}")
     trial = growth.copy()
     if move.into:
@@ -134,7 +134,7 @@ def _made(closures: Closures, best: Decided, move: Move, progress: Progress) -> 
 def _moves(closures: Closures, growth: Growth, first: Floats) -> Iterator[Move]:
     """Yield the moves that may lower the cost, the most likely first."""
     count, gate = len(closures), GATE[closures.graph.dof]
-    group = growth.spokesman
+    group = growth.representative
     size = np.bincount(group, minlength=count)
     kept = np.bincount(group[growth.kept], minlength=count)
     rejected = size - kept

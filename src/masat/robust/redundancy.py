@@ -45,7 +45,7 @@ class Redundancy:
     ----------
     chi2 : ndarray, (m,)
         chi2 of each edge.
-    share : ndarray, (m,)
+    redundancy_numbers : ndarray, (m,)
         The part of it that the others check, from 0, for an edge that alone joins two parts, to the
         degrees of freedom: the expected chi2 if all information is right.
     left_out : ndarray, (m,)
@@ -55,7 +55,7 @@ class Redundancy:
     """
 
     chi2: Floats
-    share: Floats
+    redundancy_numbers: Floats
     left_out: Floats
     dof: int
 
@@ -67,10 +67,10 @@ class Redundancy:
         """
         used, scale, dof = which.copy(), 1.0, self.dof
         for _ in range(_MAX_TRIMS):
-            share = float(self.share[used].sum())
-            if share < _MIN_REDUNDANCY * dof:
+            redundant = float(self.redundancy_numbers[used].sum())
+            if redundant < _MIN_REDUNDANCY * dof:
                 return None
-            scale = float(self.chi2[used].sum()) / share
+            scale = float(self.chi2[used].sum()) / redundant
             outlying = used & (self.left_out > FAR_GATE[dof] * scale)
             if not outlying.any():
                 break
@@ -104,7 +104,7 @@ def redundancy(graph: PoseGraph, equations: _core.NormalEquations | None = None)
     left = np.eye(graph.dof) - root @ covariance @ root.swapaxes(-1, -2)
     white = (half @ e[..., None])[..., 0]
     chi2 = np.square(white).sum(axis=1)
-    share = np.einsum("kii->k", left).clip(0, graph.dof)
+    numbers = np.einsum("kii->k", left).clip(0, graph.dof)
     solved = np.linalg.solve(left + _LEAST_LEFT * np.eye(graph.dof), white[..., None])[..., 0]
     left_out = np.einsum("ki,ki->k", white, solved)
-    return Redundancy(chi2, share, np.maximum(left_out, chi2), graph.dof)
+    return Redundancy(chi2, numbers, np.maximum(left_out, chi2), graph.dof)

@@ -43,8 +43,8 @@ def suspected_slip(closures: Closures, growth: Growth) -> int | None:
     confirmed = _spans(confirming, n) > 0
     open_steps = np.concatenate([[0], np.cumsum(~confirmed & (steps >= 0))])
     across = open_steps[closures.ends[:, 1]] > open_steps[closures.ends[:, 0]]
-    # One closure speaks for each group, if the group is more than one.
-    group = growth.spokesman
+    # One closure represents each group of more than one.
+    group = growth.representative
     rejected = np.bincount(group[~growth.kept & growth.supported], minlength=len(closures)) > 1
     judged = np.flatnonzero(rejected & across)
     clusters = len(np.unique(growth.runs[rejected]))

@@ -89,16 +89,18 @@ def _reasons(closures: Closures, growth: Growth, first: Floats) -> AnyArray:
     within = growth.distance < gate
     reasons[rejected] = "contradicts the trusted edges"
     allowed = np.flatnonzero(rejected & (first < gate))
-    # Closures of a group have one rival.
-    _, one, group = np.unique(growth.spokesman[allowed], return_index=True, return_inverse=True)
-    rivals = np.array([_rival(closures, growth, k) for k in allowed[one].tolist()], "U60")
-    reasons[allowed] = rivals[group]
+    # Closures of a group contradict the same ones.
+    _, one, group = np.unique(
+        growth.representative[allowed], return_index=True, return_inverse=True
+    )
+    why = np.array([_contradicted(closures, growth, k) for k in allowed[one].tolist()], "U60")
+    reasons[allowed] = why[group]
     reasons[rejected & within] = "undecided: as likely false as true"
     reasons[rejected & within & ~growth.supported] = "unsupported: no other closure agrees with it"
     return reasons
 
 
-def _rival(closures: Closures, growth: Growth, rejected: int) -> str:
+def _contradicted(closures: Closures, growth: Growth, rejected: int) -> str:
     """Say which cluster a closure contradicts that the trusted edges alone allow."""
     kept = np.flatnonzero(growth.kept)
     near = (np.abs(closures.ends[kept] - closures.ends[rejected]) <= NEAR).any(axis=1)

@@ -66,12 +66,12 @@ class Fit(NamedTuple):
 
 
 def fit_of_all(
-    closures: Closures, scale: float = 1.0, start: Guess = chordal, search: Guess | None = None
+    closures: Closures, scale: float = 1.0, initialize: Guess = chordal, search: Guess | None = None
 ) -> Fit | None:
     """Return the map of all closures, if all but a few fit together; else None.
 
     Each edge is compared with what all others predict, with the information given; where it
-    promises too much by a common factor, with the factor that fits. False closures leave
+    is too large by a common factor, with the factor that fits. False closures leave
     contradictions beyond that, even where the optimization has spread them. Where a trusted edge is
     contradicted most of all, and far, it is released.
 
@@ -81,14 +81,14 @@ def fit_of_all(
         The closures.
     scale : float
         A rough factor by which all information may be too large.
-    start : callable
+    initialize : callable
         The initial guess.
     search : callable, optional
         From a minimum in which all edges fit to a lower one, if there is one.
     """
     whole, trusted = closures.graph, closures.trusted
     present = np.ones(len(whole.edges), np.bool_)
-    graph = start(whole)
+    graph = initialize(whole)
     most = _MAX_OUTLIERS * len(closures)
     for _ in range(_MAX_RELEASED + 1):
         equations = normal_equations(graph)
