@@ -71,10 +71,13 @@ class Matches:
     def residuals(self, motions: Motions) -> Floats:
         """Return the weighted squares of all residuals at some motions, (s, p + r)."""
         rotation, translation = motions
-        off = self.positions @ rotation.transpose(0, 2, 1) + translation[:, None] - self.targets
-        of_positions = self.position_weights * np.einsum("spi,spi->sp", off, off)
+        distance = np.zeros((len(rotation), len(self.positions)))
+        for k in range(rotation.shape[1]):
+            off = rotation[:, k] @ self.positions.T + translation[:, k, None] - self.targets[:, k]
+            distance += off * off
+        of_positions = self.position_weights * distance
         if len(self.rotations) == 0:
-            return np.asarray(of_positions)
+            return of_positions
         turned = rotation[:, None] @ self.rotations - self.target_rotations
         of_rotations = self.rotation_weights * np.square(turned).sum(axis=(2, 3))
         return np.concatenate([of_positions, of_rotations], axis=1)
@@ -203,14 +206,12 @@ def _improved(matches: Matches, motions: Motions, kept: int, steps: int) -> Moti
     before = np.inf
     for _ in range(steps):
         residuals = matches.residuals(motions)
-        smallest = np.argpartition(residuals, kept - 1, axis=1)[:, :kept]
-        now = float(np.take_along_axis(residuals, smallest, axis=1).sum())
+        smallest = np.partition(residuals, kept - 1, axis=1)[:, :kept]
+        now = float(smallest.sum())
         if now >= before * (1 - _LEAST_DECREASE):
             break
         before = now
-        which = np.zeros(residuals.shape, np.bool_)
-        np.put_along_axis(which, smallest, True, axis=1)
-        motions = _motions(matches, which)
+        motions = _motions(matches, residuals <= smallest[:, -1:])
     return motions
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 from masat import _core
-from masat.assembly import assemble, needs_assembly
+from masat.assembly import assemble, needs_assembly, translated
 from masat.determinacy import undetermined, with_undetermined_kept
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
@@ -160,9 +160,12 @@ def _certify_assembly(
     graph: PoseGraph, search: bool, seed: int, threads: int | None, progress: Progress
 ) -> Certificate:
     """Certify a graph with priors, landmarks or partial edges."""
-    assembly = assemble(graph)
-    if assembly.graph.poses is None:
+    if graph.landmarks is not None and graph.points is None:
         raise OptimizationError("the landmarks have no positions: there is nothing to certify")
+    assert graph.poses is not None
+    # Fixes are often kilometers from the origin, where rounding hides what has to be proven.
+    middle = graph.poses[:, : graph.dimension].mean(axis=0)
+    assembly = assemble(translated(graph, -middle))
     if not all(freedom.exact for freedom in undetermined(assembly)):
         message = "not decided: chi2 hardly depends on directions that nothing determines"
         return Certificate("undecided", message, graph.chi2, 0.0, graph.chi2, None)
@@ -170,7 +173,7 @@ def _certify_assembly(
     found = certify(complete, search=search, seed=seed, threads=threads, progress=progress)
     better = None
     if found.better is not None and found.better.poses is not None:
-        better = assembly.disassembled(found.better.poses)
+        better = translated(assembly.disassembled(found.better.poses), middle)
     return replace(found, better=better)
 
 
