@@ -5,7 +5,8 @@
     python -m benchmarks.fixes certificates [FILE ..]
 
 Every 20th node gets a fix at the best map, which is moved by a random motion. Its standard
-deviation is half a meter, or one percent of a map that is smaller than 50 m.
+deviation is half a meter, or one percent of a map that is smaller than 50 m. Where the residuals of
+the edges are below what their information promises, the fixes promise as much less.
 """
 
 from __future__ import annotations
@@ -42,13 +43,16 @@ def motion(seed: int, dimension: int) -> Floats:
     return np.array([*rng.normal(size=3) * 1e4, *q / np.linalg.norm(q)])
 
 
-def with_fixes(graph: masat.PoseGraph, poses: Floats, moved: Floats) -> masat.PoseGraph:
-    """Return the graph with fixes near poses that a motion has moved."""
+def with_fixes(alone: masat.Result, moved: Floats) -> masat.PoseGraph:
+    """Return the graph of a result with fixes near its poses, which a motion has moved."""
+    graph, poses = alone.graph, alone.poses
     d, nodes = graph.dimension, np.arange(0, len(graph), _EVERY)
     where = lie.compose(moved, poses[nodes])[:, :d]
     sigma = min(_SIGMA, _PART * float(np.ptp(poses[:, :d], axis=0).max()))
     where += np.random.default_rng(0).normal(scale=sigma, size=where.shape)
-    return graph.with_fixed([]).with_priors(masat.gps(graph.ids[nodes], where, sigma))
+    reduced = alone.reduced_chi2 or 1.0
+    promised = sigma / min(reduced, 1.0) ** 0.5
+    return graph.with_fixed([]).with_priors(masat.gps(graph.ids[nodes], where, promised))
 
 
 def _read_and_solved(path: Path) -> masat.Result:
@@ -65,7 +69,7 @@ def cost(names: list[str]) -> None:
             alone = masat.solve(graph)
             plain, fixed = Path(folder) / "plain.g2o", Path(folder) / "fixed.g2o"
             masat.write(graph, plain)
-            masat.write(with_fixes(graph, alone.poses, motion(0, graph.dimension)), fixed)
+            masat.write(with_fixes(alone, motion(0, graph.dimension)), fixed)
             took = medians(
                 {
                     "without": partial(_solved, plain),
@@ -89,7 +93,7 @@ def offsets(names: list[str], trials: int) -> None:
         alone = masat.solve(graph)
         chi2 = np.array(
             [
-                masat.solve(with_fixes(graph, alone.poses, motion(seed, graph.dimension))).chi2
+                masat.solve(with_fixes(alone, motion(seed, graph.dimension))).chi2
                 for seed in range(trials)
             ]
         )
@@ -108,9 +112,7 @@ def certificates(names: list[str]) -> None:
     for name in names:
         graph = quietly_read(DATA / name)
         alone = masat.solve(graph, certify=True)
-        fixed = masat.solve(
-            with_fixes(graph, alone.poses, motion(0, graph.dimension)), certify=True
-        )
+        fixed = masat.solve(with_fixes(alone, motion(0, graph.dimension)), certify=True)
         wrong = masat.certify(fixed.graph.with_poses(half_turned(fixed.poses)), search=False)
         status = [_status(result) for result in (alone, fixed)]
         total += status[0] == "optimal"
