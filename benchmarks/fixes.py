@@ -47,9 +47,12 @@ def with_fixes(alone: masat.Result, moved: Floats) -> masat.PoseGraph:
     """Return the graph of a result with fixes near its poses, which a motion has moved."""
     graph, poses = alone.graph, alone.poses
     d, nodes = graph.dimension, np.arange(0, len(graph), _EVERY)
-    where = lie.compose(moved, poses[nodes])[:, :d]
     sigma = min(_SIGMA, _PART * float(np.ptp(poses[:, :d], axis=0).max()))
-    where += np.random.default_rng(0).normal(scale=sigma, size=where.shape)
+    fixes = np.tile(lie.identity(d), (len(nodes), 1))
+    fixes[:, :d] = poses[nodes, :d]
+    # The noise is moved with the map, so that all motions pose the same problem.
+    fixes[:, :d] += np.random.default_rng(0).normal(scale=sigma, size=(len(nodes), d))
+    where = lie.compose(moved, fixes)[:, :d]
     reduced = alone.reduced_chi2 or 1.0
     promised = sigma / min(reduced, 1.0) ** 0.5
     return graph.with_fixed([]).with_priors(masat.gps(graph.ids[nodes], where, promised))
