@@ -58,10 +58,6 @@ def with_fixes(alone: masat.Result, moved: Floats) -> masat.PoseGraph:
     return graph.with_fixed([]).with_priors(masat.gps(graph.ids[nodes], where, promised))
 
 
-def _read_and_solved(path: Path) -> masat.Result:
-    return masat.solve(masat.read(path), threads=1)
-
-
 def cost(names: list[str]) -> None:
     """Print the time from the file to the map with fixes and without."""
     print("file to map, medians in ms; wanted ratio at most 1.2")
