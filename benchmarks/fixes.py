@@ -30,6 +30,8 @@ from masat.arrays import Floats
 _SIGMA, _PART, _EVERY = 0.5, 0.01, 20
 _GRAPHS = ("2d/input_M3500_g2o.g2o", "2d/kitti_00.g2o", "3d/sphere2500.g2o")
 _SUFFIXES = (".g2o", ".g2o.gz", ".txt", ".txt.gz", ".graph")
+# The reduced chi2 of graphs that hold the measurements of a solved map.
+_NO_NOISE = 1e-6
 # Relative differences of chi2 from one offset to another that count as none.
 _SAME = 1e-9
 
@@ -54,7 +56,7 @@ def with_fixes(alone: masat.Result, moved: Floats) -> masat.PoseGraph:
     fixes[:, :d] += np.random.default_rng(0).normal(scale=sigma, size=(len(nodes), d))
     where = lie.compose(moved, fixes)[:, :d]
     reduced = alone.reduced_chi2 or 1.0
-    promised = sigma / min(reduced, 1.0) ** 0.5
+    promised = sigma if reduced < _NO_NOISE else sigma / min(reduced, 1.0) ** 0.5
     return graph.with_fixed([]).with_priors(masat.gps(graph.ids[nodes], where, promised))
 
 

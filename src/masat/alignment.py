@@ -10,15 +10,16 @@ import numpy as np
 from masat import _core, lie
 from masat.arrays import Flags, Floats, Ids
 
-# Random subsets from which a motion is computed. If a third of the positions is wrong, a subset of
-# three is right with probability 8/27: all of 100 are wrong with less than 1e-15.
-_SUBSETS = 100
+# Random subsets from which a motion is computed, in 2D and 3D. If a third of the positions is
+# wrong, a subset of two is right with probability 4/9 and one of three with 8/27: all are wrong
+# with less than 1e-8.
+_SUBSETS = {2: 32, 3: 60}
 # Fraction of the residuals, the smallest ones, that decide between motions.
 _TRIMMED = 0.6
 # Steps that take the motion of those residuals again, and how many candidates take all of them.
 _FIRST_STEPS, _LAST_STEPS, _CANDIDATES = 2, 20, 5
 # The search uses this many matches at most; those that agree are then found among all.
-_MAX_SEARCHED = 100
+_MAX_SEARCHED = 60
 # A step that lowers the sum of those residuals by a smaller fraction is the last one.
 _LEAST_DECREASE = 0.01
 # Residuals beyond this multiple of the median of the best motion do not count. The search for it
@@ -191,13 +192,14 @@ def _trials(matches: Matches) -> Motions:
     p, d = matches.positions.shape
     r = len(matches.rotations)
     rng = np.random.default_rng(0)
-    which = np.zeros((_SUBSETS, p + r), np.bool_)
-    every = np.arange(_SUBSETS)
+    count = _SUBSETS[d]
+    which = np.zeros((count, p + r), np.bool_)
+    every = np.arange(count)
     if p:
         for _ in range(d if p >= d else 1):
-            which[every, rng.integers(p, size=_SUBSETS)] = True
+            which[every, rng.integers(p, size=count)] = True
     if r and p < d:
-        which[every, p + rng.integers(r, size=_SUBSETS)] = True
+        which[every, p + rng.integers(r, size=count)] = True
     return _motions(matches, which)
 
 
