@@ -23,8 +23,9 @@ from benchmarks.spoiled import ROWS, Row, plainly_solved, spoiled_graphs, timed
 from benchmarks.threads import single_threaded
 from masat import PoseGraph
 from masat.arrays import Flags
+from masat.quantiles import FAR_GATE
 from masat.residuals import chi2_per_edge
-from masat.robust.closures import FAR_GATE, Closures
+from masat.robust.closures import Closures
 from masat.robust.objective import cost
 from masat.study.closure_trial import unsolved
 from masat.study.scores import Scores, score

@@ -8,9 +8,10 @@ import pytest
 import masat
 from masat import OptimizationError, PoseGraph
 from masat.chain import odometry_edges
+from masat.quantiles import GATE
 from masat.residuals import chi2_per_edge
 from masat.robust import decide
-from masat.robust.closures import GATE, Closures
+from masat.robust.closures import Closures
 from masat.robust.objective import cost, price
 from masat.robust.prediction import agreement, predict
 from masat.worlds import manhattan, perturb, sphere

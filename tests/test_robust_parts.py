@@ -10,7 +10,7 @@ from masat.residuals import chi2_per_edge
 from masat.robust import decide
 from masat.robust.closures import Closures
 from masat.robust.prediction import predict, predict_by_odometry
-from masat.robust.redundancy import redundancy
+from masat.robust.scales import redundancy
 from masat.robust.whole import fit_of_all, odometry_allows
 from masat.worlds import manhattan, perturb, sphere
 from masat.worlds.false_closures import add_false_closures, normalized

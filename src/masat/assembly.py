@@ -14,7 +14,6 @@ import numpy as np
 
 from masat import lie
 from masat.arrays import Flags, Floats, Ids
-from masat.errors import GraphError
 from masat.graph import PoseGraph
 from masat.information import partial
 from masat.residuals import as_poses
@@ -239,14 +238,6 @@ def relative_part(graph: PoseGraph) -> PoseGraph:
         notes=graph.notes,
         structure=structure,
     )
-
-
-def checked_support(graph: PoseGraph, what: str) -> None:
-    """Refuse a graph with priors, landmarks or partial edges where something cannot treat them."""
-    if needs_assembly(graph):
-        raise GraphError(
-            f"{what} cannot treat priors, landmarks or partial information yet: leave them out"
-        )
 
 
 def _typical_rotation(graph: PoseGraph) -> float:

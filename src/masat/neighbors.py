@@ -8,13 +8,12 @@ from masat import _core, lie
 from masat.arrays import Flags, Floats, Ids
 from masat.chain import odometry_edges
 from masat.graph import PoseGraph
+from masat.quantiles import TENTH
 
 # Loop closures are neighbors if both their ends lie in the same block of this many nodes.
 _BLOCK = 10
 # Fewer pairs of neighbors tell nothing.
 _MIN_PAIRS = 20
-# chi2 that one in ten honest measurements of 3 or 6 degrees of freedom stays below.
-_FRACTION, _QUANTILE = 0.1, {3: 0.584, 6: 2.204}
 
 
 def neighbor_scale(graph: PoseGraph) -> float | None:
@@ -60,7 +59,7 @@ def neighbor_scale(graph: PoseGraph) -> float | None:
     poses, _ = _core.place_along_tree(graph.topology, roots, chain, graph.measurements, poses)
     own = np.einsum("kii->ki", np.linalg.inv(graph.information[closures]))
     distance = cycle_distances(pairs, ends, z, own, poses, variance_along(graph, chain))
-    return float(np.quantile(distance, _FRACTION)) / _QUANTILE[graph.dof]
+    return float(np.quantile(distance, 0.1)) / TENTH[graph.dof]
 
 
 def cycle_distances(

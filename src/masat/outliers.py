@@ -9,16 +9,13 @@ import numpy as np
 from masat.arrays import Flags, Floats, Ids
 from masat.assembly import AssembledGraph
 from masat.chain import odometry_edges
-from masat.covariance import relative_covariances
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
 from masat.information import degrees_of_freedom
 from masat.neighbors import neighbor_scale
-from masat.residuals import residuals
+from masat.quantiles import FAR_GATE, MEDIAN
+from masat.redundancy import whitened
 
-# chi2 of a single edge with 3 or 6 degrees of freedom: its median, and what one in 100,000 exceeds.
-_MEDIAN = {3: 2.366, 6: 5.348}
-_GATE = {3: 25.9, 6: 33.1}
 # Gates by which an edge may contradict the others. In clean public graphs, and in the worlds of the
 # paper solved well, none exceeds 4.4; one false loop closure exceeded 27 in all trials.
 _FAR = 6.0
@@ -87,7 +84,7 @@ def outlying_edges(graph: PoseGraph) -> Ids:
     """
     if not _is_doubtful(graph):
         return np.empty(0, np.int64)
-    gate = _GATE[graph.dof]
+    gate = FAR_GATE[graph.dof]
     loss, is_checked = _chi2_without(graph)
     far = np.flatnonzero(loss > gate * _limit(graph, loss, is_checked))
     return _closures_first(graph, far, loss)
@@ -122,7 +119,7 @@ def describe_outliers(graph: PoseGraph, minimum: Minimum = "any") -> tuple[str, 
         causes.append("this is a local minimum (init='auto' searches for lower ones)")
     if is_wrong or _is_too_large(graph, reduced):
         # The whole map is bent: what it would be without one edge tells little and takes long.
-        far = _closures_first(graph, np.flatnonzero(chi2 > _FAR * _GATE[graph.dof]), chi2)
+        far = _closures_first(graph, np.flatnonzero(chi2 > _FAR * FAR_GATE[graph.dof]), chi2)
         said = f"the map cannot be right: its reduced chi2 is {reduced:.3g}"
         if len(far):
             said += f", and {_contradiction(graph, far, chi2)}"
@@ -197,38 +194,25 @@ def _is_doubtful(graph: PoseGraph) -> bool:
     chi2 = graph.chi2_per_edge
     if len(chi2) == 0:
         return False
-    scale = max(1.0, float(np.median(chi2)) / _MEDIAN[graph.dof])
-    return bool(chi2.max() > _DOUBTFUL * scale * _GATE[graph.dof])
+    scale = max(1.0, float(np.median(chi2)) / MEDIAN[graph.dof])
+    return bool(chi2.max() > _DOUBTFUL * scale * FAR_GATE[graph.dof])
 
 
 def _chi2_without(graph: PoseGraph) -> tuple[Floats, Flags]:
     """Return by how much chi2 falls without each edge, (m,), and which edges others check.
 
-    With the residual e, its information W and the covariance S of the relative pose given all
-    edges, that is e' (W^-1 - S)^-1 e: the test of Baarda, A testing procedure for use in geodetic
-    networks, 1968.
+    It falls by the squared distance of the measurement from what the others predict (`redundancy`).
     """
     try:
-        joint = relative_covariances(graph, graph.edges, warn=False)
+        white, left = whitened(graph)
     except OptimizationError:
         return graph.chi2_per_edge, np.ones(len(graph.edges), np.bool_)
-    root = _root(graph)
-    back = root.transpose(0, 2, 1)
-    redundancy, axes = np.linalg.eigh(np.eye(graph.dof) - back @ joint @ root)
-    e = (axes.transpose(0, 2, 1) @ back @ residuals(graph)[..., None])[..., 0]
+    redundancy, axes = np.linalg.eigh(left)
+    e = (axes.swapaxes(-1, -2) @ white[..., None])[..., 0]
     checked = redundancy > _LEAST_REDUNDANCY
     loss: Floats = (checked * np.square(e) / np.where(checked, redundancy, 1.0)).sum(axis=1)
     is_checked: Flags = np.any(checked, axis=1)
     return loss, is_checked
-
-
-def _root(graph: PoseGraph) -> Floats:
-    """Return a matrix L with L L' = W for the information of each edge, (m, d, d)."""
-    if not isinstance(graph, AssembledGraph):
-        return np.asarray(np.linalg.cholesky(graph.information))
-    values, axes = np.linalg.eigh(graph.information)
-    root: Floats = axes * np.sqrt(np.maximum(values, 0))[:, None, :]
-    return root
 
 
 def _limit(graph: PoseGraph, loss: Floats, is_checked: Flags) -> float:
@@ -236,5 +220,5 @@ def _limit(graph: PoseGraph, loss: Floats, is_checked: Flags) -> float:
     chain = odometry_edges(graph)
     kinds = [loss[is_checked & kind] for kind in (chain, ~chain)]
     typical = max((float(np.median(own)) for own in kinds if len(own)), default=0.0)
-    scale = typical / _MEDIAN[graph.dof]
+    scale = typical / MEDIAN[graph.dof]
     return _FAR * max(1.0, scale)

@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import Any
 
 from masat.arrays import Flags
-from masat.assembly import assemble, checked_support, needs_assembly
+from masat.assembly import assemble, needs_assembly
 from masat.errors import MasatWarning, OptimizationError
 from masat.graph import PoseGraph
 from masat.initializers import SEARCHES, guess_of, guess_of_assembly
@@ -75,10 +75,11 @@ def solve(
         Whether to prove that chi2 is the lowest of all poses (`masat.certify`): one more
         factorization in most cases. No further search is made where there is no proof.
     robust : bool
-        Whether to decide first which loop closures to believe (`masat.robust`), and to make the map
-        of these alone. `result.kept` and `result.closures` tell the decision. No constant needs to
-        be chosen; `trusted` names the edges that are believed in any case, by default odometry:
-        the first edge of each pair of consecutive ids.
+        Whether to decide first which loop closures to believe, and which priors and observations of
+        landmarks (`masat.robust`), and to make the map of these alone. `result.kept`,
+        `result.closures` and `result.decision` tell what was decided. No constant needs to be
+        chosen; `trusted` names the edges that are believed in any case, by default odometry: the
+        first edge of each pair of consecutive ids.
     loss, scale, trusted
         Loss of the edges in the optimization that follows the initial guess, as in
         `masat.optimize`. The initial guess does not know it: "auto" searches for the minimum of
@@ -138,22 +139,19 @@ def solve(
     if robust:
         if loss is not None:
             raise OptimizationError("robust and loss exclude each other: choose one of them")
-        # Closures are judged by the edges; priors and landmarks join afterwards.
-        relative = rooted.with_priors(None).with_landmarks(None)
-        checked_support(relative, "robust")
         begin: Guess = partial(guess_of, method=init, seed=seed, progress=progress)
         search: Guess | None = None
         if init == "auto":
             begin, search = chordal, partial(_lowest, seed=seed, progress=progress)
         decision = decide(
-            relative,
+            rooted,
             trusted,
             initialize=begin,
             search=search,
             threads=threads,
             progress=progress,
         )
-        rooted, trusted = rooted.without_edges(~decision.kept), None
+        rooted, trusted = decision.believed(rooted), None
     assembly = None
     guess: PoseGraph
     if needs_assembly(rooted):
@@ -161,6 +159,11 @@ def solve(
             assemble(rooted), init, seed=seed, progress=progress, threads=threads
         )
         guess = assembly.graph
+        if decision is not None:
+            nodes = assembly.placed(decision.poses, decision.points)
+            if equations.chi2(nodes) < guess.chi2:
+                assembly = assembly.at(nodes)
+                guess = assembly.graph
     elif decision is not None and decision.from_start:
         equations = normal_equations(rooted, threads)
         guess = rooted.with_poses(decision.poses)

@@ -13,15 +13,13 @@ from masat._core import LossKind
 from masat.arrays import Flags, Floats
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
+from masat.quantiles import LOSS_GATE
 
 EdgeLoss: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 """From chi2 of the edges, (m,), to their costs rho and weights rho' = d rho / d chi2, (m,) each."""
 
 GNC_TLS = "gnc_tls"
 """Name of the truncated loss that `masat.optimizers.gnc` minimizes in stages."""
-
-# chi2 that one good edge in 100 exceeds, with 3 and 6 degrees of freedom.
-_GATE = {3: 11.345, 6: 16.812}
 
 
 @dataclass(frozen=True)
@@ -169,7 +167,7 @@ def robust_cost(
 
 def default_scale(dof: int) -> float:
     """Return the scale whose square is the chi2 that one good edge in 100 exceeds."""
-    return float(np.sqrt(_GATE[dof]))
+    return float(np.sqrt(LOSS_GATE[dof]))
 
 
 def _checked_scale(scale: object) -> float:

@@ -192,6 +192,7 @@ class Result:
             "weights": self.weights,
             "kept": self.kept,
             "closures": self.closures,
+            "judged_measurements": self.decision and self.decision.measurements,
             "runner_up_kept": self.decision
             and self.decision.runner_up
             and self.decision.runner_up.kept,
@@ -276,7 +277,7 @@ def _certificate(saved: dict[str, Any] | None) -> Certificate | None:
 
 def _decision(saved: dict[str, Any] | None, arrays: Any) -> Decision | None:
     from masat.robust.decision import Decision, RunnerUp
-    from masat.robust.redundancy import Scales
+    from masat.robust.scales import Scales
 
     if saved is None:
         return None
@@ -290,4 +291,5 @@ def _decision(saved: dict[str, Any] | None, arrays: Any) -> Decision | None:
         released=locked(np.array(saved["released"], np.int64)),
         runner_up=None if cost is None else RunnerUp(locked(arrays["runner_up_kept"]), cost),
         poses=locked(arrays["poses"]),
+        measurements=locked(arrays["judged_measurements"]),
     )

@@ -15,14 +15,8 @@ from masat.graph import PoseGraph
 
 # Closures whose ends are both at most this many nodes apart are of one place.
 REACH = 10
-# chi2 that one honest measurement in 1,000 exceeds, and one in 100,000, for 3 and 6 degrees of
-# freedom.
-GATE = {3: 16.27, 6: 22.46}
-FAR_GATE = {3: 25.90, 6: 33.11}
 # So few closures or nodes are few.
 _FEW = 200
-# chi2 that one in ten honest measurements stays below.
-TENTH = {3: 0.584, 6: 2.204}
 
 
 class Closures:
@@ -46,12 +40,7 @@ class Closures:
     def __init__(
         self, graph: PoseGraph, trusted: ArrayLike | None = None, threads: int | None = None
     ) -> None:
-        mask = odometry_edges(graph) if trusted is None else np.asarray(trusted)
-        if mask.shape != (len(graph.edges),) or mask.dtype != np.bool_:
-            raise OptimizationError(
-                f"trusted must have a boolean for each of the {len(graph.edges)} edges, got "
-                f"{mask.dtype} of shape {mask.shape}"
-            )
+        mask = checked_trusted(graph, odometry_edges(graph) if trusted is None else trusted)
         if not mask.any():
             raise OptimizationError(
                 "no edge is trusted: closures can be judged only against others, such as odometry "
@@ -116,6 +105,17 @@ class Closures:
     def clusters(self) -> Indices:
         """Cluster of each closure: those connected by pairs of one place, numbered from 0."""
         return connected(len(self), self.pairs)
+
+
+def checked_trusted(graph: PoseGraph, trusted: ArrayLike) -> Flags:
+    """Return a mask of trusted edges, if it has a boolean for each edge."""
+    mask = np.asarray(trusted)
+    if mask.shape != (len(graph.edges),) or mask.dtype != np.bool_:
+        raise OptimizationError(
+            f"trusted must have a boolean for each of the {len(graph.edges)} edges, got "
+            f"{mask.dtype} of shape {mask.shape}"
+        )
+    return mask
 
 
 def connected(count: int, pairs: Ids) -> Indices:

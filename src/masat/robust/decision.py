@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -13,12 +13,13 @@ from masat.arrays import AnyArray, Flags, Floats, Ids, locked
 from masat.graph import PoseGraph
 from masat.initializers.chordal import chordal
 from masat.progress import Progress
+from masat.quantiles import FAR_GATE, GATE
 from masat.residuals import chi2_per_edge
-from masat.robust.closures import FAR_GATE, GATE, Closures
+from masat.robust.closures import Closures
 from masat.robust.hypothesis import Hypothesis, best_scaled
 from masat.robust.objective import cost
 from masat.robust.parts import joining_closures
-from masat.robust.redundancy import Scales
+from masat.robust.scales import Scales
 from masat.robust.slips import suspected_slip
 from masat.robust.table import table_of, table_of_fit
 from masat.robust.whole import Fit, Guess, fit_of_all, odometry_allows
@@ -37,6 +38,20 @@ _MIN_CLOSURES, _FEW_KEPT = 10, 0.1
 _CONTRADICTION = 4.0
 # A second hypothesis whose cost is higher by no more than so many gates is near.
 _NEAR = 2.0
+
+
+MEASUREMENTS = np.dtype(
+    [
+        ("kind", "U11"),
+        ("row", np.int64),
+        ("node", np.int64),
+        ("landmark", np.int64),
+        ("kept", np.bool_),
+        ("chi2", np.float64),
+        ("distance", np.float64),
+        ("reason", "U60"),
+    ]
+)
 
 
 class RunnerUp(NamedTuple):
@@ -84,6 +99,13 @@ class Decision:
         Another hypothesis, if its cost is not much higher.
     poses : ndarray, (n, 3) or (n, 7)
         The map of the decision, near its minimum.
+    measurements : structured ndarray, (p + l,)
+        A row for each prior and then each observation of a landmark: `kind` ("prior" or
+        "observation"), `row` (its index among these), `node`, `landmark` (-1 for priors), `kept`,
+        `chi2` (in the map), `distance` (squared Mahalanobis distance from what the kept
+        measurements predict), `reason`.
+    points : ndarray, (k, 2) or (k, 3), or None
+        The landmarks of the map.
     from_start : bool
         Whether these poses come from the initial guess of all edges.
     notes : tuple of str
@@ -98,12 +120,42 @@ class Decision:
     released: Ids
     runner_up: RunnerUp | None
     poses: Floats
+    measurements: AnyArray = field(default_factory=lambda: locked(np.zeros(0, MEASUREMENTS)))
+    points: Floats | None = None
     from_start: bool = False
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         believed = int(self.closures["kept"].sum())
-        return f"Decision({believed} of {len(self.closures)} loop closures kept)"
+        said = f"{believed} of {len(self.closures)} loop closures"
+        if len(self.measurements):
+            said += f", {int(self.measurements['kept'].sum())} of {len(self.measurements)} priors "
+            said += "and observations"
+        return f"Decision({said} kept)"
+
+    @property
+    def kept_priors(self) -> Flags:
+        """Which priors are kept, (p,)."""
+        return self._kept_of("prior")
+
+    @property
+    def kept_observations(self) -> Flags:
+        """Which observations of landmarks are kept, (l,)."""
+        return self._kept_of("observation")
+
+    def _kept_of(self, kind: str) -> Flags:
+        table = self.measurements
+        return np.asarray(table["kept"][table["kind"] == kind])
+
+    def believed(self, graph: PoseGraph) -> PoseGraph:
+        """Return the graph of the decision without what is rejected."""
+        out = graph.without_edges(~self.kept)
+        if graph.priors is not None:
+            rows = self.kept_priors
+            out = out.with_priors(graph.priors.rows(rows) if rows.any() else None)
+        if graph.landmarks is not None:
+            out = out.with_landmarks(graph.landmarks.observed(self.kept_observations))
+        return out
 
     def to_dict(self) -> dict[str, Any]:
         """Return what JSON says of a decision."""
@@ -129,10 +181,17 @@ class Decision:
                 }
                 for row in rejected
             ],
+            "rejected_measurements": [
+                {
+                    name: row[name].item()
+                    for name in ("kind", "row", "node", "landmark", "chi2", "reason")
+                }
+                for row in self.measurements[~self.measurements["kept"]]
+            ],
         }
 
 
-def decide(
+def decide_on_closures(
     graph: PoseGraph,
     trusted: ArrayLike | None = None,
     *,

@@ -11,8 +11,9 @@ from masat.initializers import guess_of
 from masat.optimizers import optimize
 from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
+from masat.quantiles import FAR_GATE, GATE
 from masat.residuals import chi2_per_edge
-from masat.robust.closures import FAR_GATE, GATE, REACH, Closures, connected
+from masat.robust.closures import REACH, Closures, connected
 from masat.robust.prediction import agreement, predict, predict_by_odometry
 
 # Likelihood ratios, in logarithms: that of a closure which others support, and how much more one

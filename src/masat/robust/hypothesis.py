@@ -11,13 +11,14 @@ from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimizers import optimize
 from masat.progress import Progress
+from masat.quantiles import TENTH
 from masat.residuals import chi2_per_edge
-from masat.robust.closures import TENTH, Closures
+from masat.robust.closures import Closures
 from masat.robust.growth import Growth
 from masat.robust.moves import Decided, improve
 from masat.robust.objective import cost
 from masat.robust.prediction import agreement
-from masat.robust.redundancy import Redundancy, Scales, redundancy
+from masat.robust.scales import Redundancy, Scales, redundancy
 
 # The information is rescaled where it seems off by more than these factors, at most by the last
 # at once. What is too precise loses the closures that would show by how much; what is cautious may

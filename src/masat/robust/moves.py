@@ -9,7 +9,8 @@ import numpy as np
 
 from masat.arrays import AnyArray, Flags, Floats, Ids
 from masat.progress import Progress
-from masat.robust.closures import GATE, Closures
+from masat.quantiles import GATE
+from masat.robust.closures import Closures
 from masat.robust.growth import Growth
 from masat.robust.objective import cost, of_run
 

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from masat.arrays import Flags, Floats
-from masat.robust.closures import GATE, Closures
+from masat.quantiles import GATE
+from masat.robust.closures import Closures
 
 # Closures of one place in a row whose errors may have one cause.
 _RUN = 20

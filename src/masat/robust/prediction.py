@@ -11,6 +11,7 @@ from masat.arrays import Floats, Ids
 from masat.covariance import change_of_frame, relative_covariances
 from masat.graph import PoseGraph
 from masat.neighbors import cycle_distances, variance_along
+from masat.redundancy import step_of_residual
 from masat.robust.closures import Closures
 
 _EPSILON = float(np.finfo(np.float64).eps)
@@ -128,7 +129,7 @@ def _compared(closures: Closures, graph: PoseGraph, chosen: Ids, covariance: Flo
     poses = graph.poses
     assert poses is not None
     e = _residuals(closures, poses, chosen)
-    turn = slope(e)
+    turn = step_of_residual(e)
     joint = turn @ covariance @ turn.transpose(0, 2, 1) + closures.covariance[chosen]
     solved = np.linalg.solve(joint, e[..., None])[..., 0]
     distance = np.einsum("ki,ki->k", e, solved)
@@ -147,27 +148,6 @@ def log_volume(poses: Floats) -> float:
     d = 2 if poses.shape[1] == 3 else 3
     extent = np.maximum(np.ptp(poses[:, :d], axis=0), 1.0)
     return float(np.log(extent).sum() + np.log(2 * np.pi if d == 2 else 4 * np.pi / 3))
-
-
-def slope(e: Floats) -> Floats:
-    """Return the derivative of residuals by a step of the relative pose, (k, dof, dof)."""
-    k, dof = e.shape
-    slope = np.zeros((k, dof, dof))
-    d = 2 if dof == 3 else 3
-    pose = np.zeros((k, lie.POSE_SIZE[d]))
-    if d == 2:
-        pose[:, 2] = e[:, 2]
-        slope[:, 2, 2] = 1
-    else:
-        vector = e[:, 3:]
-        w = np.sqrt(np.maximum(1 - np.square(vector).sum(axis=1), 0))
-        pose[:, 3:6], pose[:, 6] = vector, w
-        slope[:, 3:, 3:] = w[:, None, None] * np.eye(3)
-        for i, j, axis in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-            slope[:, 3 + i, 3 + j] -= vector[:, axis]
-            slope[:, 3 + j, 3 + i] += vector[:, axis]
-    slope[:, :d, :d] = _core.rotation_matrices(pose)
-    return slope
 
 
 def agreement(closures: Closures, poses: Floats, pairs: Ids) -> Floats:

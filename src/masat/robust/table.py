@@ -6,8 +6,9 @@ import numpy as np
 
 from masat.arrays import AnyArray, Flags, Floats, Ids
 from masat.graph import PoseGraph
+from masat.quantiles import GATE
 from masat.residuals import chi2_per_edge
-from masat.robust.closures import GATE, Closures
+from masat.robust.closures import Closures
 from masat.robust.growth import NEAR, Growth
 from masat.robust.hypothesis import Hypothesis
 from masat.robust.prediction import predict

@@ -15,10 +15,11 @@ from masat.initializers.chordal import chordal
 from masat.optimizers import optimize
 from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
+from masat.quantiles import FAR_GATE, GATE, TENTH
 from masat.residuals import chi2_per_edge
-from masat.robust.closures import FAR_GATE, GATE, TENTH, Closures
+from masat.robust.closures import Closures
 from masat.robust.prediction import agreement, predict_by_odometry
-from masat.robust.redundancy import Redundancy, Scales, redundancy
+from masat.robust.scales import Redundancy, Scales, redundancy
 
 # Fraction of the closures that may be outliers of a map that is not in doubt.
 _MAX_OUTLIERS = 0.02

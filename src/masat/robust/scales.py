@@ -9,11 +9,9 @@ import numpy as np
 
 from masat import _core
 from masat.arrays import Flags, Floats
-from masat.covariance import relative_covariances
 from masat.graph import PoseGraph
-from masat.residuals import residuals
-from masat.robust.closures import FAR_GATE
-from masat.robust.prediction import slope
+from masat.quantiles import FAR_GATE
+from masat.redundancy import whitened
 
 # Redundancy that a group of edges needs for a scale, in edges.
 _MIN_REDUNDANCY = 10.0
@@ -96,13 +94,7 @@ def redundancy(graph: PoseGraph, equations: _core.NormalEquations | None = None)
     equations : NormalEquations, optional
         Those of the graph, to be used again.
     """
-    covariance = relative_covariances(graph, graph.edges, warn=False, equations=equations)
-    e = residuals(graph)
-    turn = slope(e)
-    half = np.linalg.cholesky(graph.information).swapaxes(-1, -2)
-    root = half @ turn
-    left = np.eye(graph.dof) - root @ covariance @ root.swapaxes(-1, -2)
-    white = (half @ e[..., None])[..., 0]
+    white, left = whitened(graph, equations)
     chi2 = np.square(white).sum(axis=1)
     numbers = np.einsum("kii->k", left).clip(0, graph.dof)
     solved = np.linalg.solve(left + _LEAST_LEFT * np.eye(graph.dof), white[..., None])[..., 0]
