@@ -156,3 +156,28 @@ def test_landmarks_alone_join_the_parts_of_a_map(d):
     assert result.chi2 < 1e-18
     assert_allclose(result.graph.points, points, atol=1e-8)
     assert_allclose(lie.local(result.poses, poses), 0, atol=1e-8)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_certificates_hold_with_lever_arms(d):
+    world = WORLDS["manhattan" if d == 2 else "sphere"](300, 900, seed=1)
+    noisy = masat.worlds.perturb(world, (0.05, 0.05, 0.05) if d == 2 else (0.05, 0.05), seed=2)
+    antenna = np.array([1.5, -0.5, 2.0])[:d]
+    motion = random_pose(np.random.default_rng(3), d)
+    at = np.zeros((300, d)) + antenna
+    where = lie.compose(motion, lie.compose(world.poses, poses_at(at)))[::10, :d]
+    where += np.random.default_rng(4).normal(size=where.shape) * 0.3
+    fixes = masat.gps(world.ids[::10], where, 0.3, lever_arm=antenna)
+    result = masat.solve(noisy.with_fixed([]).with_priors(fixes), certify=True)
+    assert result.certificate.certified
+    # Half of the map turned is another minimum or none, and never certified.
+    turned = result.poses.copy()
+    about = np.zeros((1, turned.shape[1]))
+    about[0, -1] = np.pi if d == 2 else 0.0
+    if d == 3:
+        about[0, 4] = 1.0
+    turned[150:] = lie.compose(turned[150:], np.tile(about, (150, 1)))
+    assert not masat.certify(result.graph.with_poses(turned), search=False).certified
+    # Without the lever arm the same fixes make another map.
+    plain = masat.gps(world.ids[::10], where, 0.3)
+    assert masat.solve(noisy.with_fixed([]).with_priors(plain)).chi2 > result.chi2

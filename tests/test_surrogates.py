@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from random_graphs import random_graph
+from test_relaxation import dense
 
 import masat
 from masat import OptimizationError, PoseGraph, _core, lie
+from masat.optimality.relaxation import Relaxation
 from masat.optimality.surrogates import chordal_surrogate, tangent_surrogate
 from masat.residuals import chi2_per_edge, residuals
 
@@ -125,3 +127,44 @@ def test_information_that_is_singular_to_rounding_is_named():
     with pytest.raises(OptimizationError, match="4 -> 7 is singular to rounding"):
         tangent_surrogate(graph, graph.poses)
     assert masat.certify(graph).status != "optimal"
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_sensor_off_its_node_has_a_surrogate_too(dimension, seed):
+    rng = np.random.default_rng(seed)
+    graph = random_graph(dimension, 6, 9, seed=seed, noise=0.3)
+    offsets, priors = (
+        lie.retract(np.tile(lie.identity(dimension), (4, 1)), rng.normal(size=(4, graph.dof)) * 0.4)
+        for _ in range(2)
+    )
+    at = lie.compose(lie.compose(graph.poses[:4], offsets), priors)
+    weights = np.full(graph.dof, 3.0)
+    weights[dimension:] = 2.0
+    graph = graph.with_fixed([]).with_priors(
+        masat.pose_priors(graph.ids[:4], at, np.diag(weights), offset=offsets)
+    )
+    assembled = masat.assembly.assemble(graph).graph
+    relaxation = Relaxation(assembled, tangent_surrogate(assembled, assembled.poses))
+    deficit = relaxation.surrogate.deficit
+
+    def surrogate(poses):
+        return relaxation.cost(relaxation.unknowns(poses, dimension))
+
+    def matrix_form(poses):
+        x = relaxation.unknowns(poses, dimension)
+        free = assembled.elimination.free_nodes()
+        own = x[free].reshape(-1, dimension)
+        f = relaxation._assemble(x).reshape(-1, dimension)
+        h = dense(relaxation._matrix, len(f), dimension + 1)
+        return np.sum(own * (h @ own - 2 * f))
+
+    touched, form = surrogate(assembled.poses), matrix_form(assembled.poses)
+    for scale in SCALES:
+        poses = assembled.poses.copy()
+        step = rng.normal(size=(6, graph.dof)) * scale
+        poses[:6] = lie.retract(poses[:6], step)
+        more = surrogate(poses) - touched
+        assert np.isclose(matrix_form(poses) - form, more, rtol=1e-8, atol=1e-7)
+        rise = assembled.with_poses(poses).chi2 - assembled.chi2
+        assert more <= rise + deficit + 1e-9 * (1 + abs(touched))

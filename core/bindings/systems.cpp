@@ -108,11 +108,14 @@ Array<double> assembled(GraphMatrix& matrix, const Topology& graph, const Stack&
 
 Array<double> assembled_poses(GraphMatrix& matrix, const Topology& graph,
                               const Table<double>& measurements, const AnyArray& rotation,
-                              const Vector<double>& translation, const Stack& values) {
+                              const Vector<double>& translation, const Stack& values,
+                              const std::optional<Table<double>>& offsets) {
   const std::size_t m = graph.edges().size(), d = matrix.block_size(), columns = values.shape(2);
   require(rotation.ndim() >= 1 && measurements.shape(0) == m && rotation.shape(0) == m &&
               translation.shape(0) == m,
           "one row an edge");
+  require(!offsets || (offsets->shape(0) == m && offsets->shape(1) == measurements.shape(1)),
+          "one offset an edge");
   const bool matrices = rotation.ndim() == 3;
   require(
       matrices ? rotation.shape(1) + 1 == d && rotation.shape(2) + 1 == d : rotation.ndim() == 1,
@@ -124,8 +127,8 @@ Array<double> assembled_poses(GraphMatrix& matrix, const Topology& graph,
     with_group(measurements.shape(1), [&]<class Group>(Group*) {
       require(d == Group::kDimension + 1, "blocks must have d + 1 rows");
       assemble_pose_form<Group>(matrix, graph, measurements.data(), {rotation.data(), matrices},
-                                translation.data(), values.data(), static_cast<int>(columns),
-                                rhs.data());
+                                translation.data(), offsets ? offsets->data() : nullptr,
+                                values.data(), static_cast<int>(columns), rhs.data());
     });
   }
   return as_array(std::move(rhs), {matrix.rows() / d, d, columns});
@@ -176,7 +179,7 @@ void bind_systems(nb::module_& m) {
       .def(nb::new_(&make_matrix), "elimination"_a, "block_size"_a)
       .def("assemble", &assembled, "topology"_a, "first"_a, "joint"_a, "second"_a, "values"_a)
       .def("assemble_poses", &assembled_poses, "topology"_a, "measurements"_a, "rotation"_a,
-           "translation"_a, "values"_a)
+           "translation"_a, "values"_a, "offsets"_a = nb::none())
       .def(
           "factorize",
           [](GraphMatrix& matrix, const Vector<double>& damping) {

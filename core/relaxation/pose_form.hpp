@@ -28,11 +28,12 @@ struct RotationWeights {
 //     2 tr(A) - 2 <A, R' R_i' R_j> + translation |t_j - t_i - R_i t|^2
 // of the unknowns X_i = [R_i t_i]', and adds the right-hand side from the fixed nodes to
 // `linear_term`. For A = kappa I the first two terms are kappa |R_j - R_i R|^2. The form has
-// (tr(A) / d) (|R_i|^2 + |R_j|^2) for 2 tr(A), which is the same for orthonormal frames.
+// (tr(A) / d) (|R_i|^2 + |R_j|^2) for 2 tr(A), which is the same for orthonormal frames. With
+// `offsets`, one an edge, an edge measures a sensor in the place of the node that it leads to.
 template <LieGroup Group>
 void assemble_pose_form(GraphMatrix& matrix, const Topology& graph, const double* measurements,
-                        RotationWeights rotation, const double* translation, const double* values,
-                        int columns, double* linear_term) {
+                        RotationWeights rotation, const double* translation, const double* offsets,
+                        const double* values, int columns, double* linear_term) {
   constexpr int D = Group::kDimension, kRows = D + 1;
   using Block = Eigen::Matrix<double, kRows, kRows, Eigen::RowMajor>;
   const auto m = static_cast<std::int64_t>(graph.edges().size());
@@ -46,7 +47,16 @@ void assemble_pose_form(GraphMatrix& matrix, const Topology& graph, const double
     weight.template topLeftCorner<D, D>() = rotation.at<D>(k);
     own.template topLeftCorner<D, D>().diagonal().setConstant(
         weight.template topLeftCorner<D, D>().trace() / D);
-    const Block joint = -turn * weight, first = turn * own * turn.transpose();
+    const Block first = turn * own * turn.transpose();
+    Block joint = -turn * weight;
+    if (offsets != nullptr) {
+      const Group offset = Group::load(offsets + k * Group::kSize);
+      Block at_sensor = Block::Identity();  // X of the sensor is at_sensor X_j
+      at_sensor.template topLeftCorner<D, D>() = offset.rotation().transpose();
+      at_sensor.template bottomLeftCorner<1, D>() = offset.translation().transpose();
+      joint = (joint * at_sensor).eval();
+      own = (at_sensor.transpose() * own * at_sensor).eval();
+    }
     matrix.add_edge(graph, k, first.data(), joint.data(), own.data(), values, columns, linear_term);
   }
 }

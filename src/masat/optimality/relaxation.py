@@ -82,17 +82,21 @@ class Relaxation:
         """Return the cost of unknowns, summed over the edges."""
         d, (z, a, tau, _) = self.graph.dimension, self.surrogate
         i, j = self.graph.edge_indices.T
-        y, t = x[:, :d], x[:, d]
+        y_i, t_i, y_j, t_j = x[i, :d], x[i, d], x[j, :d], x[j, d]
+        offsets = self.graph.sensor_offsets
+        if offsets is not None:
+            t_j = t_j + (offsets[:, None, :d] @ y_j)[:, 0]
+            y_j = _core.rotation_matrices(offsets).transpose(0, 2, 1) @ y_j
         turn = _core.rotation_matrices(z)
-        moved = t[i] + (z[:, None, :d] @ y[i])[:, 0]
-        cost = float(tau @ np.square(t[j] - moved).sum(axis=1))
+        moved = t_i + (z[:, None, :d] @ y_i)[:, 0]
+        cost = float(tau @ np.square(t_j - moved).sum(axis=1))
         if a.ndim == 1:
-            turned = turn.transpose(0, 2, 1) @ y[i]
-            return cost + float(a @ np.square(y[j] - turned).sum(axis=(1, 2)))
-        own = np.square(y).sum(axis=(1, 2))
-        joint = np.einsum("kab,kac,kbc->k", turn @ a, y[i], y[j])
+            turned = turn.transpose(0, 2, 1) @ y_i
+            return cost + float(a @ np.square(y_j - turned).sum(axis=(1, 2)))
+        own = np.square(y_i).sum(axis=(1, 2)) + np.square(y_j).sum(axis=(1, 2))
+        joint = np.einsum("kab,kac,kbc->k", turn @ a, y_i, y_j)
         scale = np.einsum("kii->k", a) / d
-        return cost + float(scale @ (own[i] + own[j]) - 2 * joint.sum())
+        return cost + float(scale @ own - 2 * joint.sum())
 
     def unknowns(self, poses: Floats, rank: int) -> Floats:
         """Return the unknowns of poses, (n, d + 1, rank)."""
@@ -227,7 +231,9 @@ class Relaxation:
 
     def _assemble(self, x: Floats) -> Floats:
         """Set the matrix; return the linear term, which comes from the fixed nodes."""
-        return self._matrix.assemble_poses(self.graph.topology, *self.surrogate[:3], x)
+        return self._matrix.assemble_poses(
+            self.graph.topology, *self.surrogate[:3], x, self.graph.sensor_offsets
+        )
 
 
 def polish(graph: PoseGraph) -> Floats:

@@ -1,6 +1,7 @@
 """Costs that are quadratic in rotation matrices and translations, in the place of chi2.
 
-A surrogate costs an edge from pose (R_i, t_i) to (R_j, t_j)
+A surrogate costs an edge from pose (R_i, t_i) to (R_j, t_j), that of a sensor where the edge
+measures one,
 
     2 tr(A) - 2 <A, R' R_i' R_j> + tau |t_j - t_i - R_i t|^2,
 
@@ -97,13 +98,8 @@ def tangent_surrogate(graph: PoseGraph, poses: Floats) -> Surrogate:
     Raises
     ------
     OptimizationError
-        If an information matrix is singular to rounding where no surrogate is known, or if edges
-        measure a sensor off its node.
+        If an information matrix is singular to rounding where no surrogate is known.
     """
-    if graph.sensor_offsets is not None:
-        raise OptimizationError(
-            "no bound on chi2 is known for priors with a lever arm or an offset"
-        )
     e = residuals(graph, poses)
     part = _representable(graph)
     if graph.dimension == 2:
