@@ -171,7 +171,8 @@ def _better_scales(hypothesis: Hypothesis) -> Scales | None:
     closures, kept = hypothesis.closures, hypothesis.growth.kept
     found = hypothesis.found
     supported = int(hypothesis.growth.supported.sum())
-    if int(kept.sum()) < max(_MIN_KEPT, _MIN_EXPLAINED * supported):
+    right = None not in found and max(scale or 1.0 for scale in found) < _CONVERGED
+    if not right and int(kept.sum()) < max(_MIN_KEPT, _MIN_EXPLAINED * supported):
         # Perhaps since all information is too large. Pairs of one place tell.
         pairs = closures.pairs
         if len(pairs) < _MIN_KEPT or hypothesis.used != (1.0, 1.0):
