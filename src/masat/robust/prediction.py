@@ -8,11 +8,12 @@ import numpy as np
 
 from masat import _core, lie
 from masat.arrays import Floats, Ids
-from masat.covariance import change_of_frame, relative_covariances
+from masat.covariance import relative_covariances
 from masat.graph import PoseGraph
 from masat.neighbors import cycle_distances, variance_along
 from masat.redundancy import step_of_residual
 from masat.robust.closures import Closures
+from masat.robust.odometry_sums import carried, odometry_sums
 
 _EPSILON = float(np.finfo(np.float64).eps)
 # Rounding of a sum of covariances that is allowed, against the covariance of a measurement.
@@ -67,61 +68,26 @@ def predict(
 def predict_by_odometry(closures: Closures, graph: PoseGraph, chosen: Ids) -> Prediction:
     """Predict chosen closures from the trusted edges alone, without a closure.
 
-    Where the trusted edges are odometry, covariances add up along it: that of each relative pose is
-    the difference of two sums. The system of a long chain would cost more. Closures across a gap
-    of the odometry are NaN.
-    """
-    summed = _sums_along_odometry(closures, graph)
-    if summed is None:
-        return predict(closures, graph, chosen)
-    poses, center, sums, gaps = summed
-    a, b = closures.ends[chosen].T
-    # They belong to the second node of the closure.
-    second = np.where(closures.reversed[chosen], a, b)
-    total = _carried(sums[b] - sums[a], lie.between(poses[second], center))
-    largest = np.einsum("kii->k", sums)[b].max(initial=0.0)
-    smallest = np.einsum("kii->k", closures.covariance[chosen]).min(initial=np.inf)
-    if _EPSILON * largest > _MAX_ROUNDING * smallest:
-        return predict(closures, graph, chosen)
-    found = _compared(closures, graph, chosen, total)
-    across = gaps[a] != gaps[b]
-    found.distance[across] = found.log_ratio[across] = np.nan
-    return found
-
-
-def _sums_along_odometry(
-    closures: Closures, graph: PoseGraph
-) -> tuple[Floats, Floats, Floats, Ids] | None:
-    """Return poses, a pose in their midst, and the sums of covariances up to each node, seen there.
-
-    Also the number of gaps in the odometry up to each node, (n,). None if other edges are trusted,
-    or fixed nodes say more than odometry.
+    Where the trusted edges are odometry, covariances add up along it (`odometry_sums`). The system
+    of a long chain would cost more. Closures between parts that nothing joins are NaN.
     """
     poses = graph.poses
     assert poses is not None
-    n, d = len(graph), graph.dimension
-    trusted = np.flatnonzero(closures.trusted)
-    ends = closures.graph.edge_indices[trusted].astype(np.int64)
-    lower = ends.min(axis=1)
-    other = (np.abs(np.diff(ends, axis=1)) != 1).any() or len(np.unique(lower)) < len(lower)
-    if other or len(graph.fixed) > 1:
-        return None
-    center = lie.identity(d)
-    center[:d] = poses[:, :d].mean(axis=0)
-    covariance = np.linalg.inv(closures.graph.information[trusted]).astype(np.float64)
-    seen = lie.between(center, poses[ends[:, 1]])
-    steps = np.zeros((n, graph.dof, graph.dof))
-    steps[lower + 1] = _carried(covariance, seen)
-    gaps = np.ones(n, np.int64)
-    gaps[lower + 1] = 0
-    return poses, center, np.cumsum(steps, axis=0), np.cumsum(gaps)
-
-
-def _carried(covariance: Floats, seen: Floats) -> Floats:
-    """Return covariances of steps of poses as seen from others, at which they are `seen`."""
-    turn = change_of_frame(seen)
-    carried: Floats = turn @ covariance @ turn.swapaxes(-1, -2)
-    return carried
+    along = odometry_sums(graph)
+    if along is None:
+        return predict(closures, graph, chosen)
+    a, b = closures.ends[chosen].T
+    total, apart = along.between(a, b)
+    largest = np.einsum("kii->k", along.sums)[np.concatenate([a, b])].max(initial=0.0)
+    smallest = np.einsum("kii->k", closures.covariance[chosen]).min(initial=np.inf)
+    if _EPSILON * largest > _MAX_ROUNDING * smallest:
+        return predict(closures, graph, chosen)
+    # They belong to the second node of the closure.
+    second = np.where(closures.reversed[chosen], a, b)
+    total = carried(total, lie.between(poses[second], along.center))
+    found = _compared(closures, graph, chosen, total)
+    found.distance[apart] = found.log_ratio[apart] = np.nan
+    return found
 
 
 def _compared(closures: Closures, graph: PoseGraph, chosen: Ids, covariance: Floats) -> Prediction:
