@@ -75,6 +75,14 @@ def row_of_integers(name: str, values: Any) -> Ids:
     return distinct(out)
 
 
+def node_ids(ids: ArrayLike) -> Ids:
+    """Return a copy of node ids, (n,)."""
+    nodes = integers("ids", ids)
+    if nodes.ndim != 1:
+        raise GraphError(f"ids must have shape (n,), got {nodes.shape}")
+    return nodes
+
+
 def flags(values: Any) -> Flags | None:
     """Return booleans as an array, or None if the values are no booleans or there are none."""
     raw = _array("a mask", values, "booleans")

@@ -183,9 +183,7 @@ def _new_nodes(
         named = checks.distinct(pairs)
         nodes = named[~checks.among(graph.ids, named)]
     else:
-        nodes = checks.integers("ids", ids)
-        if nodes.ndim != 1:
-            raise GraphError(f"ids must have shape (n,), got {nodes.shape}")
+        nodes = checks.node_ids(ids)
         for node in nodes[checks.among(graph.ids, nodes)][:1]:
             raise GraphError(f"node {node} is in the graph already: name only new nodes in `ids`")
         checks.ascending(nodes, None)

@@ -176,9 +176,7 @@ class PoseGraph:
             raise GraphError(f"{len(pairs)} edges but {len(z)} measurements")
         dof = lie.DOF[2 if z.shape[1] == 3 else 3]
 
-        nodes = _named(pairs, all_priors, landmarks) if ids is None else checks.integers("ids", ids)
-        if nodes.ndim != 1:
-            raise GraphError(f"ids must have shape (n,), got {nodes.shape}")
+        nodes = _named(pairs, all_priors, landmarks) if ids is None else checks.node_ids(ids)
         if len(nodes) == 0:
             raise GraphError("the graph is empty: it has no node")
         if given is not None and given.shape != (len(nodes), z.shape[1]):
