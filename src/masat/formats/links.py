@@ -18,6 +18,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from masat import lie
 from masat.arrays import Floats, Ids
 from masat.errors import FormatError
 from masat.formats.reading import read_without_warnings
@@ -27,11 +28,10 @@ from masat.graph import PoseGraph
 Links: TypeAlias = PoseGraph | tuple[Ids, Floats, Floats]
 
 _ENDS = 4
-_POSE, _DOF = {2: 3, 3: 7}, {2: 3, 3: 6}
 # How many numbers a line has, by dimension and whether it has information.
 _LENGTHS = {
-    _ENDS + _POSE[d] + with_information * _DOF[d] * (_DOF[d] + 1) // 2: (d, with_information)
-    for d in (2, 3)
+    _ENDS + size + with_information * lie.DOF[d] * (lie.DOF[d] + 1) // 2: (d, with_information)
+    for d, size in lie.POSE_SIZE.items()
     for with_information in (False, True)
 }
 
@@ -106,7 +106,7 @@ def _table(lines: Sequence[tuple[int, list[bytes]]], path: Path) -> Links:
                 "expected numbers after session, id, session, id", path, number
             ) from None
     dimension, with_information = _LENGTHS[length]
-    size, dof = _POSE[dimension], _DOF[dimension]
+    size, dof = lie.POSE_SIZE[dimension], lie.DOF[dimension]
     information = np.tile(np.eye(dof), (len(lines), 1, 1))
     if with_information:
         row, column = np.triu_indices(dof)

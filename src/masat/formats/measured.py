@@ -10,6 +10,7 @@ from masat import _core, lie
 from masat.arrays import Floats, Ids
 from masat.errors import FormatError, GraphError
 from masat.measurements import Landmarks, Priors, landmarks, pose_priors
+from masat.residuals import as_poses
 
 _NO_PARAMETER = -1
 
@@ -49,9 +50,7 @@ def _landmarks(parsed: _core.ParsedGraph, path: Path) -> Landmarks | None:
     offsets = _offsets(parsed, parsed["observation_parameters"], lines, path)
     if offsets is not None:
         d = z.shape[1]
-        seen = np.tile(lie.identity(d), (len(z), 1))
-        seen[:, :d] = z
-        z = lie.compose(offsets, seen)[:, :d]
+        z = lie.compose(offsets, as_poses(z))[:, :d]
         turn = _core.rotation_matrices(offsets)
         w = turn @ w @ turn.transpose(0, 2, 1)
         w = 0.5 * (w + w.transpose(0, 2, 1))

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from masat import _checks as checks
+from masat import lie
 from masat.arrays import Flags, Floats, Ids, locked
 from masat.errors import GraphError
-
-_DOF = {3: 3, 7: 6}
+from masat.residuals import as_poses
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -125,13 +125,16 @@ def pose_priors(
     z = checks.table("poses of priors", poses)
     if z.ndim == 2 and z.shape[1] == 0:
         z = z.reshape(0, 3)
-    if z.shape[1] not in _DOF or len(z) != len(nodes):
+    if z.shape[1] not in lie.POSE_SIZE.values() or len(z) != len(nodes):
         raise GraphError(
             f"poses of priors must have shape ({len(nodes)}, 3) or ({len(nodes)}, 7), got {z.shape}"
         )
     z = checks.rotations(z, "prior", nodes, "node")
     matrices = checks.semidefinite_matrices(
-        information, len(nodes), _DOF[z.shape[1]], lambda k: f"the prior of node {nodes[k]}"
+        information,
+        len(nodes),
+        lie.DOF[2 if z.shape[1] == 3 else 3],
+        lambda k: f"the prior of node {nodes[k]}",
     )
     return Priors(nodes, z, matrices, _offset(offset, nodes, z.shape[1]))
 
@@ -181,16 +184,13 @@ def gps(
             f"positions must have shape ({len(nodes)}, 2) or ({len(nodes)}, 3), got {where.shape}"
         )
     p, d = where.shape
-    poses = _identities(p, d)
-    poses[:, :d] = where
     arms = None
     if lever_arm is not None:
         arm = checks.numbers("lever_arm", lever_arm)
         if arm.shape not in ((d,), (p, d)):
             raise GraphError(f"lever_arm must have shape ({d},) or ({p}, {d}), got {arm.shape}")
-        arms = _identities(p, d)
-        arms[:, :d] = arm
-    return pose_priors(nodes, poses, _diagonal(sigma, p, d, range(d), nodes), offset=arms)
+        arms = as_poses(np.broadcast_to(arm, (p, d)))
+    return pose_priors(nodes, as_poses(where), _diagonal(sigma, p, d, range(d), nodes), offset=arms)
 
 
 def headings(ids: ArrayLike, angles: ArrayLike, sigma: ArrayLike) -> Priors:
@@ -232,9 +232,9 @@ def altitudes(ids: ArrayLike, heights: ArrayLike, sigma: ArrayLike) -> Priors:
     Priors
     """
     nodes = checks.node_ids(ids)
-    poses = _identities(len(nodes), 3)
-    poses[:, 2] = _row("heights", heights, len(nodes))
-    return pose_priors(nodes, poses, _diagonal(_column(sigma), len(nodes), 3, [2], nodes))
+    where = np.zeros((len(nodes), 3))
+    where[:, 2] = _row("heights", heights, len(nodes))
+    return pose_priors(nodes, as_poses(where), _diagonal(_column(sigma), len(nodes), 3, [2], nodes))
 
 
 def joined(priors: Priors | Iterable[Priors] | None) -> Priors | None:
@@ -281,17 +281,9 @@ def _diagonal(
     rows = np.broadcast_to(values, (count, len(where)))
     for k in np.flatnonzero(~((rows > 0) & np.isfinite(rows)).all(axis=1))[:1]:
         raise GraphError(f"sigma of node {nodes[k]} must be positive and finite, got {rows[k]}")
-    dof = 3 if d == 2 else 6
-    out = np.zeros((count, dof, dof))
+    out = np.zeros((count, lie.DOF[d], lie.DOF[d]))
     out[:, where, where] = 1 / np.square(rows)
     return out
-
-
-def _identities(count: int, d: int) -> Floats:
-    poses = np.zeros((count, 3 if d == 2 else 7))
-    if d == 3:
-        poses[:, 6] = 1
-    return poses
 
 
 def _offset(offset: ArrayLike | None, nodes: Ids, size: int) -> Floats | None:
@@ -304,11 +296,10 @@ def _offset(offset: ArrayLike | None, nodes: Ids, size: int) -> Floats | None:
         )
     rows = np.array(np.broadcast_to(given, (len(nodes), size)), order="C")
     rows = checks.rotations(rows, "offset", nodes, "node")
-    identity = _identities(1, 2 if size == 3 else 3)
-    return None if (rows == identity).all() else rows
+    return None if (rows == lie.identity(2 if size == 3 else 3)).all() else rows
 
 
 def _offsets_or_identity(priors: Priors) -> Floats:
     if priors.offsets is not None:
         return priors.offsets
-    return _identities(len(priors), priors.dimension)
+    return np.tile(lie.identity(priors.dimension), (len(priors), 1))
