@@ -305,3 +305,17 @@ def test_information_may_be_semidefinite_but_not_indefinite_or_zero(matrix, fine
         return
     with pytest.raises(InformationError, match="are zero or not positive semidefinite"):
         PoseGraph.from_arrays([(0, 1)], [(1, 0, 0)], matrix)
+
+
+@pytest.mark.parametrize("left", [None, masat.landmarks([(0, 8)], [(1, 1)])])
+def test_a_landmark_with_a_prior_cannot_be_taken_out_alone(left):
+    graph = PoseGraph.from_arrays(
+        [(0, 1), (1, 20)],
+        [(1, 0, 0)] * 2,
+        priors=masat.gps([9, 0, 20], [(50, 70), (0, 0), (2, 0)], 0.1),
+        landmarks=masat.landmarks([(0, 9)], [(1, 1)]),
+    )
+    with pytest.raises(GraphError, match="a prior names node 9, which is not in the graph"):
+        graph.with_landmarks(left)
+    alone = graph.with_priors(graph.priors.rows(graph.priors.ids != 9)).with_landmarks(left)
+    assert_allclose(masat.solve(alone).poses[:, :2], [(0, 0), (1, 0), (2, 0)], atol=1e-6)

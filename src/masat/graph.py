@@ -357,12 +357,16 @@ class PoseGraph:
         Raises
         ------
         GraphError
-            If an observation names an unknown pose, if a landmark has the id of a pose, or if the
-            landmarks are in 2D where the graph is in 3D or conversely.
+            If an observation names an unknown pose, if a landmark has the id of a pose, if the
+            landmarks are in 2D where the graph is in 3D or conversely, or if a prior of the graph
+            names a landmark that would be gone: replace the priors first, with `with_priors`.
         """
         if landmarks is not None:
             checks.known_landmarks(landmarks, self.dimension, self.ids)
-        return replace(self, landmarks=landmarks)
+        out = replace(self, landmarks=landmarks)
+        if self.priors is not None:
+            checks.known_priors(self.priors, self.dimension, self.ids, out.point_ids)
+        return out
 
     def with_points(self, positions: ArrayLike) -> PoseGraph:
         """Return the graph with its landmarks at other positions, in the order of `point_ids`."""
