@@ -319,3 +319,34 @@ def test_a_landmark_with_a_prior_cannot_be_taken_out_alone(left):
         graph.with_landmarks(left)
     alone = graph.with_priors(graph.priors.rows(graph.priors.ids != 9)).with_landmarks(left)
     assert_allclose(masat.solve(alone).poses[:, :2], [(0, 0), (1, 0), (2, 0)], atol=1e-6)
+
+
+def two_squares(priors=None, landmarks=None, fixed=()):
+    """Nodes 0 to 3 and 10 to 13, each a square in a frame of its own."""
+    edges = [*SQUARE, *((a + 10, b + 10) for a, b in SQUARE)]
+    return PoseGraph.from_arrays(
+        edges, [QUARTER[2]] * 8, priors=priors, landmarks=landmarks, fixed=fixed
+    )
+
+
+@pytest.mark.parametrize("root_of", [PoseGraph.with_root, lambda g, k: masat.solve(g, root=k)])
+def test_a_root_that_priors_place_is_refused(root_of):
+    graph = two_squares(masat.gps([0, 2], [(5, 5), (6, 6)], 0.1))
+    with pytest.raises(GraphError, match="the root 1 cannot be chosen: priors place"):
+        root_of(graph, 1)
+    assert graph.with_root(12).gauge.tolist() == [12]
+    fixed = graph.with_fixed(3)
+    assert fixed.with_root(3).gauge.tolist() == fixed.gauge.tolist() == [3, 10]
+
+
+def test_a_root_of_parts_that_landmarks_join_is_that_of_all():
+    seen = masat.landmarks([(0, 50), (10, 50)], [(1, 1), (1, 0)])
+    graph = two_squares(landmarks=seen)
+    assert graph.gauge.tolist() == [0]
+    assert graph.with_root(1).with_root(12).gauge.tolist() == [12]
+    with pytest.raises(GraphError, match="the roots 1 and 12 are in one component"):
+        graph.with_root([1, 12])
+    with pytest.raises(GraphError, match="the root 12 is not fixed but its component holds fixed"):
+        two_squares(landmarks=seen, fixed=0).with_root(12)
+    with pytest.raises(GraphError, match="the graph has no node 50"):
+        graph.with_root(50)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from masat import _checks as checks
 from masat import _core, editing, lie, residuals
 from masat import stamps as times
-from masat.arrays import Floats, Ids, Indices, Labels, Stamps, locked
+from masat.arrays import Flags, Floats, Ids, Indices, Labels, Stamps, locked
 from masat.errors import GraphError
 from masat.information import partial
 from masat.measurements import Landmarks, Priors, joined
@@ -377,7 +377,8 @@ class PoseGraph:
     def with_root(self, root: ArrayLike) -> PoseGraph:
         """Return the graph with `root` as the gauge-fixed node of its component.
 
-        Without this, the gauge-fixed node of a component without fixed nodes is its smallest id.
+        Without this, the gauge-fixed node of a component without fixed nodes is its smallest id. A
+        component with priors has none: the priors place it in the world's frame.
 
         Parameters
         ----------
@@ -389,9 +390,17 @@ class PoseGraph:
         ------
         GraphError
             If the graph has no such node, or if the node is not fixed but its component has fixed
-            nodes.
+            nodes or priors.
         """
-        return replace(self, structure=self.structure.with_roots(root))
+        roots = checks.distinct(checks.integers("roots", root))
+        if self.priors is not None:
+            placed = self._placed_by_priors[self.index(roots)]
+            for node in roots[placed & ~np.isin(roots, self.fixed)][:1]:
+                raise GraphError(
+                    f"the root {node} cannot be chosen: priors place its component in the world's "
+                    "frame, so all of its nodes are optimized; leave the root out"
+                )
+        return replace(self, structure=self.structure.with_roots(roots, self.components))
 
     def with_fixed(self, ids: int | Iterable[int]) -> PoseGraph:
         """Return the graph with these fixed nodes in place of those it has.
@@ -523,6 +532,12 @@ class PoseGraph:
         joint = self.joint_structure
         labels = joint.components[joint.index(self.ids)]
         return locked(np.unique(labels, return_inverse=True)[1].astype(np.int32))
+
+    @property
+    def _placed_by_priors(self) -> Flags:
+        """Which nodes are in a component with priors, (n,): that of the world."""
+        joint = self.joint_structure
+        return np.asarray(joint.components[joint.index(self.ids)] == joint.components[-1])
 
     @cached_property
     def gauge(self) -> Ids:
