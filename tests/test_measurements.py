@@ -350,3 +350,8 @@ def test_a_root_of_parts_that_landmarks_join_is_that_of_all():
         two_squares(landmarks=seen, fixed=0).with_root(12)
     with pytest.raises(GraphError, match="the graph has no node 50"):
         graph.with_root(50)
+
+
+def test_components_are_in_the_order_of_their_poses_whatever_the_ids_of_landmarks():
+    graph = two_squares(landmarks=masat.landmarks([(10, -5)], [(1, 1)]))
+    assert graph.components.tolist() == [0] * 4 + [1] * 4

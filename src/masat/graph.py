@@ -531,7 +531,9 @@ class PoseGraph:
             return self.structure.components
         joint = self.joint_structure
         labels = joint.components[joint.index(self.ids)]
-        return locked(np.unique(labels, return_inverse=True)[1].astype(np.int32))
+        # A landmark may have a smaller id than the poses that saw it.
+        _, first, own = np.unique(labels, return_index=True, return_inverse=True)
+        return locked(np.argsort(np.argsort(first))[own].astype(np.int32))
 
     @property
     def _placed_by_priors(self) -> Flags:
