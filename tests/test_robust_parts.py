@@ -152,12 +152,64 @@ def test_a_rival_is_told():
 
 
 def test_fixed_nodes_that_contradict_odometry_are_told():
-    graph = clean()
-    poses = graph.poses.copy()
-    poses[300, :2] += 500.0
-    far = PoseGraph.from_arrays(
-        graph.edges, graph.measurements, graph.information, poses=poses, fixed=[0, 300]
+    edges = [(k, k + 1) for k in range(29)] + [(0, 3), (20, 23), (5, 8)]
+    measured = [(1, 0, 0)] * 29 + [(3, 0, 0), (3, 0, 0), (9, 0, 0)]
+    poses = np.zeros((30, 3))
+    poses[29, 0] = 500.0
+    graph = PoseGraph.from_arrays(
+        edges, measured, np.diag([100.0, 100, 400]), ids=range(30), poses=poses, fixed=[0, 29]
     )
     with pytest.warns(masat.MasatWarning, match="contradict the fixed nodes"):
-        result = masat.solve(far, robust=True)
+        result = masat.solve(graph, robust=True)
     assert "contradict the fixed nodes" in result.graph.notes[-1]
+
+
+@pytest.mark.parametrize("factor", [10.0, 30.0])
+@pytest.mark.parametrize(("kind", "fraction"), [("random", 0.1), ("alias", 0.3)])
+def test_information_that_is_too_large_altogether_is_recognized(kind, fraction, factor):
+    spoiled, false = add_false_closures(clean(nodes=150), kind, fraction, seed=0)
+    graph = PoseGraph.from_arrays(spoiled.edges, spoiled.measurements, spoiled.information * factor)
+    decision = decide(graph)
+    assert not (decision.kept & false).any()
+    assert (decision.kept | false).mean() > 0.97
+    assert np.allclose(decision.scales, factor, rtol=0.7)
+
+
+def test_parts_may_alternate_in_their_ids():
+    # Two robots, whose ids are even and odd, with true links and a run of false ones.
+    a, b = np.arange(0, 80, 2), np.arange(1, 81, 2)
+    chain = [(int(k), int(k) + 2) for k in np.concatenate([a[:-1], b[:-1]])]
+    true = [(int(a[k]), int(b[k])) for k in range(0, 36, 2)]
+    wrong = [(int(a[k]), int(b[k + 20])) for k in range(12)]
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0, 0.05, (len(chain) + len(true) + len(wrong), 3)) * [1, 1, 0.2]
+    exact = [(1, 0, 0)] * len(chain) + [(0, 2, 0)] * len(true) + [(0, 2, 0)] * len(wrong)
+    graph = PoseGraph.from_arrays(chain + true + wrong, exact + noise, np.diag([400.0, 400, 1e4]))
+    trusted = np.arange(len(graph.edges)) < len(chain)
+    decision = decide(graph, trusted)
+    ends = len(chain) + len(true)
+    assert decision.kept[:ends].all()
+    assert not decision.kept[ends:].any()
+
+
+def test_an_interrupt_leaves_a_whole_map(monkeypatch):
+    from masat.progress import Progress
+    from masat.robust.growth import Growth
+
+    spoiled, _ = add_false_closures(clean(), "random", 0.5, seed=0)
+    full = Growth._set_map
+    calls = 0
+
+    def interrupted(self, *args):
+        nonlocal calls
+        calls += 1
+        if calls > 3:
+            raise KeyboardInterrupt
+        full(self, *args)
+
+    monkeypatch.setattr(Growth, "_set_map", interrupted)
+    decision = decide(spoiled, progress=Progress(catch_interrupts=True))
+    kept = spoiled.without_edges(~decision.kept).with_poses(decision.poses)
+    assert decision.closures["kept"].sum() > 0
+    assert (kept.chi2_per_edge[~odometry_edges(kept)] < 26).all()
+    assert "not judged: the time was over" in decision.closures["reason"]

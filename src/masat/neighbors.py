@@ -115,9 +115,15 @@ def cycle_residuals(
 
 
 def variance_along(graph: PoseGraph, trusted: Flags) -> Floats:
-    """Return the sum of the variances of trusted edges from the first node to each, (n, dof)."""
+    """Return the sum of the variances of trusted edges up to each node, (n, dof).
+
+    Only differences between nodes that trusted edges connect have a meaning.
+    """
     steps = np.zeros((len(graph), graph.dof))
     later = graph.edge_indices[trusted].max(axis=1)
     np.maximum.at(steps, later, np.einsum("kii->ki", np.linalg.inv(graph.information[trusted])))
-    total: Floats = np.cumsum(steps, axis=0)
+    # Nodes of several parts may alternate.
+    order = np.argsort(graph.without_edges(~trusted).components, kind="stable")
+    total = np.empty_like(steps)
+    total[order] = np.cumsum(steps[order], axis=0)
     return total

@@ -37,6 +37,7 @@ _MAX_REDUCED, _MAX_RATIO = 2.0, 100.0
 # up to 19 and 5.8.
 _MAX_REDUCED_ANYHOW, _MAX_REDUCED_ALONE = 100.0, 8.0
 
+_PROBABLY = "; probably "
 _REMEDY = "some loop closures are false (robust=True, or --robust, decides which to believe)"
 
 
@@ -134,7 +135,7 @@ def describe_outliers(graph: PoseGraph, minimum: Minimum = "any") -> tuple[str, 
         said = _contradiction(graph, far, chi2)
         if minimum == "searched":
             causes.append("this is a local minimum")
-    return (f"{said}; probably {', or '.join(causes)}",)
+    return (f"{said}{_PROBABLY}{', or '.join(causes)}",)
 
 
 def _contradiction(graph: PoseGraph, far: Ids, chi2: Floats) -> str:
@@ -158,6 +159,11 @@ def _name(graph: PoseGraph, edge: int) -> str:
 def _closures_first(graph: PoseGraph, edges: Ids, badness: Floats) -> Ids:
     """Return edges in the order in which to look at them: odometry last, the worst first."""
     return edges[np.lexsort((-badness[edges], odometry_edges(graph)[edges]))]
+
+
+def without_remedy(description: str) -> str:
+    """Return what `describe_outliers` says of the edges, without what to do about it."""
+    return description.partition(_PROBABLY)[0]
 
 
 def is_description(note: str) -> bool:

@@ -20,7 +20,13 @@ from masat.optimizers import Result, StopReason, check_method, optimize, optimiz
 from masat.optimizers.equations import normal_equations
 from masat.optimizers.losses import EdgeLoss, Loss
 from masat.optimizers.termination import Report
-from masat.outliers import Minimum, cannot_be_right, describe_outliers, is_description
+from masat.outliers import (
+    Minimum,
+    cannot_be_right,
+    describe_outliers,
+    is_description,
+    without_remedy,
+)
 from masat.progress import Progress, ReportStage
 from masat.robust import decide
 from masat.robust.whole import Guess
@@ -140,7 +146,14 @@ def solve(
         search: Guess | None = None
         if init == "auto":
             begin, search = chordal, partial(_lowest, seed=seed, progress=progress)
-        decision = decide(relative, trusted, initialize=begin, search=search, progress=progress)
+        decision = decide(
+            relative,
+            trusted,
+            initialize=begin,
+            search=search,
+            threads=threads,
+            progress=progress,
+        )
         rooted, trusted = rooted.without_edges(~decision.kept), None
     assembly = None
     guess: PoseGraph
@@ -190,7 +203,8 @@ def solve(
         certificate = certified(result.graph, search=False, progress=progress, equations=equations)
         if decision is not None:
             message = f"{certificate.message}; this is said of the edges that were kept"
-            certificate = replace(certificate, message=message)
+            caveat = certificate.caveat and without_remedy(certificate.caveat)
+            certificate = replace(certificate, message=message, caveat=caveat)
     doubted = any(is_description(note) for note in guess.notes)
     if is_plain and (doubted or result.converged):
         known: Minimum = "searched" if init in SEARCHES else "any"

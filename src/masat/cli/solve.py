@@ -200,8 +200,8 @@ def _closures(result: Result) -> list[tuple[str, str]]:
             f"{a} -> {b}" for a, b in zip(own["from"][:3], own["to"][:3], strict=True)
         )
         reason = own["reason"][0] if len(set(own["reason"].tolist())) == 1 else kind
-        if reason == "contradicts":
-            reason = "contradicts a larger cluster"
+        if reason == "contradicts the map beside":
+            reason += " a larger cluster"
         rows.append(
             ("rejected", f"{len(own)}: {reason} ({shown}{', ...' if len(own) > 3 else ''})")
         )

@@ -40,7 +40,7 @@ class Certificate:
     chi2 : float
         chi2 of the poses.
     bound : float
-        No poses have a lower chi2.
+        No poses have a lower chi2. Where chi2 is zero to rounding it is chi2 itself.
     optimum : float
         The lowest chi2 that is known.
     better : PoseGraph or None
@@ -221,7 +221,7 @@ def _certify(
         message = f"not optimal: {which} has chi2 {best.chi2:.8g}, lower than {initial:.8g}"
     elif proven(best):
         status = "optimal"
-        gap = (initial - bound) / initial
+        gap = max((initial - bound) / initial, 0.0)
         message = (
             f"globally optimal: no poses have a chi2 that is lower by more than {gap:.1g} of it"
         )

@@ -21,8 +21,7 @@ GATE = {3: 16.27, 6: 22.46}
 FAR_GATE = {3: 25.90, 6: 33.11}
 # So few closures or nodes are few.
 _FEW = 200
-# chi2 that one in four honest measurements stays below, and one in ten.
-QUARTILE = {3: 1.213, 6: 3.455}
+# chi2 that one in ten honest measurements stays below.
 TENTH = {3: 0.584, 6: 2.204}
 
 
@@ -35,6 +34,8 @@ class Closures:
         The graph.
     trusted : array_like of bool, (m,), optional
         The edges to trust. Default: odometry, the first edge of each pair of consecutive ids.
+    threads : int, optional
+        Threads that factorize. Default: as many as pay.
 
     Raises
     ------
@@ -42,7 +43,9 @@ class Closures:
         If the mask has another shape, or no edge is trusted.
     """
 
-    def __init__(self, graph: PoseGraph, trusted: ArrayLike | None = None) -> None:
+    def __init__(
+        self, graph: PoseGraph, trusted: ArrayLike | None = None, threads: int | None = None
+    ) -> None:
         mask = odometry_edges(graph) if trusted is None else np.asarray(trusted)
         if mask.shape != (len(graph.edges),) or mask.dtype != np.bool_:
             raise OptimizationError(
@@ -55,6 +58,7 @@ class Closures:
                 "between consecutive ids; name the trusted edges"
             )
         self.graph = graph
+        self.threads = threads
         self.trusted: Flags = mask
         self.edges: Ids = np.flatnonzero(~mask)
         self.covariance: Floats = np.linalg.inv(graph.information[self.edges]).astype(np.float64)

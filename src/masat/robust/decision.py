@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +31,8 @@ _MIN_DOUBTFUL, _MAX_OPERATIONS = 0.01, 5.0
 # Operations of a factorization above which not all closures are optimized together: false ones can
 # make the system dense.
 _EXPENSIVE = 5e9
+# Of so many closures it is worth a note if less than this fraction is kept.
+_MIN_CLOSURES, _FEW_KEPT = 10, 0.1
 # Gates by which chi2 of the trusted edges alone may exceed what is expected.
 _CONTRADICTION = 4.0
 # A second hypothesis whose cost is higher by no more than so many gates is near.
@@ -135,6 +138,7 @@ def decide(
     *,
     initialize: Guess = chordal,
     search: Guess | None = None,
+    threads: int | None = None,
     progress: Progress | None = None,
 ) -> Decision:
     """Decide which loop closures of a graph to believe.
@@ -156,6 +160,8 @@ def decide(
         The initial guess of all edges, where the trusted ones do not contradict the others.
     search : callable, optional
         From a minimum in which all edges fit to a lower one, if there is one. Default: no search.
+    threads : int, optional
+        Threads that factorize. The decision does not depend on it. Default: as many as pay.
     progress : Progress, optional
         What reports the stages and limits the time.
 
@@ -169,20 +175,42 @@ def decide(
         If no edge is trusted, or the mask has another shape.
     """
     progress = progress or Progress()
-    closures = Closures(graph, trusted)
+    closures = Closures(graph, trusted, threads)
     progress.tell("comparing all loop closures with each other")
     joining = joining_closures(closures)
     joined = closures.trusted.copy()
     joined[joining] = True
     # Trusted edges contradict no closure between parts that they leave unconnected.
     connected = closures if len(joining) == 0 else Closures(graph, joined)
+    fit_all = partial(fit_of_all, initialize=initialize, search=search, progress=progress)
     cheap = closures.graph.elimination.operations(graph.dof) < _EXPENSIVE
     scale = odometry_allows(connected)
-    fit = fit_of_all(closures, scale, initialize, search) if scale is not None and cheap else None
+    fit = fit_all(closures, scale) if scale is not None and cheap else None
     if fit is not None and len(fit.released) == 0:
         return _decision_of_fit(closures, fit)
-    best = best_scaled(graph, joined, progress)
-    trusting = closures.trusted.copy()
+    try:
+        best = best_scaled(graph, joined, progress, threads)
+    except KeyboardInterrupt:
+        if fit is None:
+            raise
+        progress.interrupt()
+        return _decision_of_fit(closures, fit)
+    try:
+        best = _without_slips(best, closures, progress)
+        if scale is None and not progress.over and _may_all_fit(closures, best):
+            # Perhaps a trusted edge is wrong, and the closures are not.
+            fit = fit_all(closures)
+    except KeyboardInterrupt:
+        progress.interrupt()
+    whole = None if fit is None else _decision_of_fit(closures, fit)
+    if whole is not None and whole.cost < best.cost:
+        return whole
+    return _decision(best, closures.trusted, progress.over)
+
+
+def _without_slips(best: Hypothesis, closures: Closures, progress: Progress) -> Hypothesis:
+    """Return a hypothesis without trusted edges that are better released, if there are any."""
+    graph, trusting = closures.graph, closures.trusted.copy()
     for _ in range(_MAX_RELEASED):
         slip = suspected_slip(best.closures, best.growth)
         if slip is None or progress.over:
@@ -192,18 +220,16 @@ def decide(
         trusting[slip] = False
         rest = trusting.copy()
         rest[joining_closures(Closures(graph, rest))] = True
-        without = best_scaled(graph, rest, progress)
+        try:
+            without = best_scaled(graph, rest, progress, closures.threads)
+        except KeyboardInterrupt:
+            progress.interrupt()
+            break
         saved = best.cost - without.cost
         if saved < _PRICE_OF_RELEASE * FAR_GATE[graph.dof] or _new_clusters(best, without) < 2:
             break
         best = without
-    if scale is None and not progress.over and _may_all_fit(closures, best):
-        # Perhaps a trusted edge is wrong, and the closures are not.
-        fit = fit_of_all(closures)
-    whole = None if fit is None else _decision_of_fit(closures, fit)
-    if whole is not None and whole.cost < best.cost:
-        return whole
-    return _decision(best, closures.trusted, progress.over)
+    return best
 
 
 def _may_all_fit(closures: Closures, best: Hypothesis) -> bool:
@@ -259,18 +285,26 @@ def _decision(best: Hypothesis, trusted: Flags, interrupted: bool) -> Decision:
 
 
 def _notes(best: Hypothesis) -> tuple[str, ...]:
-    """Say so if the trusted edges alone contradict each other, or the fixed nodes."""
+    """Say what makes a decision doubtful."""
     graph, dof = best.closures.graph, best.closures.graph.dof
     trusted = int(best.closures.trusted.sum())
     redundant = dof * (trusted - (len(graph) - len(graph.gauge)))
+    notes: list[str] = []
+    kept, count = int(best.growth.kept.sum()), len(best.closures)
+    if count >= _MIN_CLOSURES and kept < _FEW_KEPT * count:
+        notes.append(
+            f"only {kept} of {count} loop closures are kept: either most of them are false, or the "
+            "trusted edges are wrong in places or worse than their information says"
+        )
     expected = max(redundant, 0) + _CONTRADICTION * FAR_GATE[dof]
     if best.alone <= expected:
-        return ()
+        return tuple(notes)
     cause = "the fixed nodes, whose poses may be wrong" if len(graph.fixed) > 1 else "each other"
-    return (
+    notes.append(
         f"the trusted edges alone contradict {cause} (chi2 {best.alone:.3g}, where "
-        f"{max(redundant, 0)} is expected): closures cannot be judged well against them",
+        f"{max(redundant, 0)} is expected): closures cannot be judged well against them"
     )
+    return tuple(notes)
 
 
 def _runner_up(best: Hypothesis) -> RunnerUp | None:

@@ -61,8 +61,10 @@ class Growth:
         self.refused: Flags = np.zeros(count, np.bool_)
         # Closures whose prediction is that of another one of their group.
         self._borrowed: Flags = np.zeros(count, np.bool_)
-        self.equations: _core.NormalEquations = normal_equations(self.map)
-        self._set_map()
+        self.equations: _core.NormalEquations = normal_equations(self.map, closures.threads)
+        self.distance: Floats = np.full(count, np.inf)
+        self.log_ratio: Floats = np.full(count, -np.inf)
+        self._set_map(self.kept)
         self.distance, self.log_ratio = predict_by_odometry(closures, self.map, np.arange(count))
         pairs = closures.pairs
         agree = pairs[agreement(closures, self.poses, pairs) < GATE[closures.graph.dof]]
@@ -122,11 +124,12 @@ class Growth:
                 stalls += 1
                 # The map has changed, so that what did not fit may do so now.
                 predicted = self.kept.copy()
-                self.refused[:] = False
+                self.refused = np.zeros_like(self.refused)
                 self._predict_runs(~self.kept)
                 self._predict(np.flatnonzero(~self.kept & self._borrowed & self._near_gate))
                 fresh = True
         self._refine()
+        self._predict_dropped()
 
     def believe(self, new: Ids, *, rough: bool = False) -> None:
         """Add closures to the map, and drop those that are then far beyond their information.
@@ -134,10 +137,11 @@ class Growth:
         A rough map is enough to see whether closures fit.
         """
         iterations = _ROUGH_ITERATIONS if rough else _ITERATIONS
-        before = self.kept.copy(), self.map, self.equations
+        before = self.kept, self.map, self.equations, self.refused
         try:
-            self.kept[new] = True
-            self._set_map(iterations)
+            kept = self.kept.copy()
+            kept[new] = True
+            self._set_map(kept, iterations)
             far = self.kept & (self.chi2[self._closures.edges] > FAR_GATE[self._closures.graph.dof])
             if far.any():
                 # A group that agrees is as a rule true or false as a whole.
@@ -145,19 +149,19 @@ class Growth:
                 of = np.bincount(self.representative[self.kept], minlength=len(far))
                 split = np.zeros(len(far), np.bool_)
                 split[new] = (lost > _MAX_LOST * of)[self.representative[new]]
-                self.kept &= ~(far | split)
-                self.refused |= far | split
-                self._set_map(iterations)
+                self.refused = self.refused | far | split
+                self._set_map(self.kept & ~(far | split), iterations)
         except BaseException:
             # What was not checked is not believed.
-            self.kept, self.map, self.equations = before
+            self.kept, self.map, self.equations, self.refused = before
             raise
 
     def disbelieve(self, old: Ids) -> None:
         """Take closures out of the map for good."""
-        self.kept[old] = False
+        kept = self.kept.copy()
+        kept[old] = False
         self.banned[old] = True
-        self._set_map()
+        self._set_map(kept)
 
     def count_likely(self) -> int:
         """Return how many of the closures that agree with others the map would now believe."""
@@ -178,6 +182,7 @@ class Growth:
         if len(likely):
             self.believe(likely)
             self._refine()
+            self._predict_dropped()
 
     @property
     def _far_off(self) -> Flags:
@@ -256,21 +261,27 @@ class Growth:
             within = self.kept & (self.chi2[self._closures.edges] < GATE[dof])
             if (within == self.kept).all() or self._progress.over:
                 return
-            self.kept = within
-            self._set_map()
+            self._set_map(within)
 
-    def _set_map(self, iterations: int = _ITERATIONS) -> None:
-        """Optimize the trusted edges and the kept closures."""
-        graph = self._closures.graph_with(self.kept, self.poses)
-        self.equations = normal_equations(graph)
+    def _predict_dropped(self) -> None:
+        """Predict the closures that were kept when they were predicted last."""
+        self._predict(np.flatnonzero(~self.kept & np.isinf(self.distance)))
+
+    def _set_map(self, kept: Flags, iterations: int = _ITERATIONS) -> None:
+        """Optimize the trusted edges and these closures, and keep exactly them."""
+        graph = self._closures.graph_with(kept, self.poses)
+        equations = normal_equations(graph, self._closures.threads)
         result = optimize(
             graph,
             "dogleg",
             max_iterations=iterations,
             relative_tolerance=_TOLERANCE,
-            equations=self.equations,
+            equations=equations,
         )
-        self.map = result.graph
+        # What is dropped was predicted by a map without it, long ago.
+        dropped = self.kept & ~kept
+        self.distance[dropped], self.log_ratio[dropped] = np.inf, -np.inf
+        self.kept, self.map, self.equations = kept, result.graph, equations
 
 
 def representatives(count: int, agree: Ids) -> Ids:

@@ -9,8 +9,10 @@ import numpy as np
 from masat.arrays import Flags, Floats
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
+from masat.optimizers import optimize
 from masat.progress import Progress
-from masat.robust.closures import QUARTILE, Closures
+from masat.residuals import chi2_per_edge
+from masat.robust.closures import TENTH, Closures
 from masat.robust.growth import Growth
 from masat.robust.moves import Decided, improve
 from masat.robust.objective import cost
@@ -22,6 +24,11 @@ from masat.robust.redundancy import Redundancy, Scales, redundancy
 # be so because of a few large errors.
 _MAX_CAUTION, _MAX_PROMISE, _MAX_FACTOR = 20.0, 2.0, 100.0
 _MIN_KEPT, _MAX_SCALES = 10, 5
+# A hypothesis explains the closures that another one rejects if it keeps so many times as many, so
+# large a fraction of those that others support, and its own scales are right to the last factor.
+_MANY_TIMES, _MIN_EXPLAINED, _FITTING = 2, 0.3, 3.0
+# Scale of the best tenth of the pairs above which all information seems too large.
+_MIN_COMMON = 2.0
 # Closures are rescaled as well where their scale is so much below that of the trusted edges; and
 # once rescaled, until the scales are right to the second factor.
 _MAX_RATIO, _CONVERGED = 5.0, 1.5
@@ -73,44 +80,54 @@ class Hypothesis:
         return float(numbers[trusted].sum() * of_trusted + numbers[~trusted].sum() * of_closures)
 
     @property
+    def found(self) -> Scales:
+        """What the map says of the scales of the information with which it was made."""
+        trusted = self.closures.trusted[self.closures.kept_edges(self.growth.kept)]
+        return self.checks.scales(trusted)
+
+    @property
     def scales(self) -> Scales:
         """What the map says of the scales of the information as given."""
-        found = self.checks.scales(
-            self.closures.trusted[self.closures.kept_edges(self.growth.kept)]
-        )
         of_trusted, of_closures = (
             None if now is None else now * (used or 1.0)
-            for now, used in zip(found, self.used, strict=True)
+            for now, used in zip(self.found, self.used, strict=True)
         )
         return Scales(of_trusted, of_closures)
 
 
-def grown(graph: PoseGraph, trusted: Flags, used: Scales, progress: Progress) -> Hypothesis:
+def grown(
+    graph: PoseGraph, trusted: Flags, used: Scales, progress: Progress, threads: int | None = None
+) -> Hypothesis:
     """Grow a map with scaled information, and improve it."""
     of_trusted, of_closures = (scale or 1.0 for scale in used)
     if (of_trusted, of_closures) != (1.0, 1.0):
         factors = np.where(trusted, of_trusted, of_closures)
         graph = replace(graph, information=graph.information / factors[:, None, None])
-    closures = Closures(graph, trusted)
+    closures = Closures(graph, trusted, threads)
     growth = Growth(closures, progress)
     first, alone = growth.distance.copy(), growth.map.chi2
-    decided = Decided(growth, cost(closures, growth.kept, growth.chi2), None, np.inf)
     try:
         growth.grow(thorough=True)
-        decided = improve(closures, growth, first, progress)
-        decided.growth.finish()
     except KeyboardInterrupt:
         progress.interrupt()
+    decided = improve(closures, growth, first, progress)
     growth = decided.growth
+    if not progress.over:
+        try:
+            growth.finish()
+        except KeyboardInterrupt:
+            progress.interrupt()
     decided = decided._replace(cost=cost(closures, growth.kept, growth.chi2))
     return Hypothesis(
         closures, used, decided, first, redundancy(growth.map, growth.equations), alone
     )
 
 
-def best_scaled(graph: PoseGraph, trusted: Flags, progress: Progress) -> Hypothesis:
+def best_scaled(
+    graph: PoseGraph, trusted: Flags, progress: Progress, threads: int | None = None
+) -> Hypothesis:
     """Return the hypothesis of the lowest cost, with the information as it is and rescaled."""
-    best = last = grown(graph, trusted, Scales(1.0, 1.0), progress)
+    best = last = grown(graph, trusted, Scales(1.0, 1.0), progress, threads)
     for _ in range(_MAX_SCALES):
         used = _better_scales(last)
         if used is None or progress.over:
@@ -120,29 +137,48 @@ def best_scaled(graph: PoseGraph, trusted: Flags, progress: Progress) -> Hypothe
             "trusted edges and the closures"
         )
         try:
-            last = grown(graph, trusted, used, progress)
+            last = grown(graph, trusted, used, progress, threads)
         except KeyboardInterrupt:
             progress.interrupt()
             break
         except (OptimizationError, InitializationError):
             break
-        best = min(best, last, key=lambda hypothesis: hypothesis.cost)
+        if last.cost < best.cost or _explains(last, best):
+            best = last
     return best
+
+
+def _explains(last: Hypothesis, best: Hypothesis) -> bool:
+    """Return whether information of another scale explains closures that are rejected without it.
+
+    Their costs do not compare then, since rejected closures cost the same at any scale. What is
+    compared is the cost of both under the same information, that of the last hypothesis.
+    """
+    closures, kept = last.closures, last.growth.kept
+    few = int(best.growth.kept.sum()) * _MANY_TIMES
+    if int(kept.sum()) < max(_MIN_KEPT, few, _MIN_EXPLAINED * last.growth.supported.sum()):
+        return False
+    if any(scale is not None and not 1 / _FITTING < scale < _FITTING for scale in last.found):
+        return False
+    graph = closures.graph_with(best.growth.kept, best.growth.poses)
+    other = chi2_per_edge(closures.graph, optimize(graph, "dogleg").poses)
+    return last.decided.cost < cost(closures, best.growth.kept, other)
 
 
 def _better_scales(hypothesis: Hypothesis) -> Scales | None:
     """Return scales of the information that fit a hypothesis better, or None if its own do."""
     closures, kept = hypothesis.closures, hypothesis.growth.kept
-    trusted = closures.trusted[closures.kept_edges(kept)]
-    found = hypothesis.checks.scales(trusted)
-    if int(kept.sum()) < _MIN_KEPT:
+    found = hypothesis.found
+    supported = int(hypothesis.growth.supported.sum())
+    if int(kept.sum()) < max(_MIN_KEPT, _MIN_EXPLAINED * supported):
         # Perhaps since all information is too large. Pairs of one place tell.
         pairs = closures.pairs
         if len(pairs) < _MIN_KEPT or hypothesis.used != (1.0, 1.0):
             return None
         between = agreement(closures, hypothesis.growth.poses, pairs)
-        common = float(np.quantile(between, 0.25)) / QUARTILE[closures.graph.dof]
-        found = Scales(common, common) if common > _MAX_RATIO else Scales(None, None)
+        common = float(np.quantile(between, 0.1)) / TENTH[closures.graph.dof]
+        if common > _MIN_COMMON:
+            found = Scales(common, common)
     factors = _factors(found, hypothesis.used)
     if factors == (1.0, 1.0):
         return None

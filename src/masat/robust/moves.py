@@ -88,12 +88,19 @@ def improve(closures: Closures, growth: Growth, first: Floats, progress: Progres
             break
         tried.add(move)
         left[move.into] -= 1
-        trial = _made(closures, best, move, progress)
+        try:
+            trial = _made(closures, best, move, progress)
+        except KeyboardInterrupt:
+            progress.interrupt()
+            break
         if trial is None:
             continue
         found = cost(closures, trial.kept, trial.chi2)
         if found < best.cost * (1 - _LOWER):
-            trial.grow()
+            try:
+                trial.grow()
+            except KeyboardInterrupt:
+                progress.interrupt()
             found = cost(closures, trial.kept, trial.chi2)
             gain = best.cost - found
             # The map that it replaces is the second hypothesis.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from masat.arrays import Floats, Ids
+from masat import lie
+from masat.arrays import Floats, Ids, Indices
 from masat.initializers import guess_of
 from masat.neighbors import cycle_residuals, variance_along
 from masat.robust.closures import Closures
@@ -34,15 +35,19 @@ def joining_closures(closures: Closures) -> Ids:
     """
     graph = closures.graph
     trusted = graph.without_edges(~closures.trusted)
-    labels = trusted.components
-    if labels.max() == graph.components.max():
+    labels = trusted.components.copy()
+    # Fixed nodes relate the parts that they are in.
+    fixed = np.unique(labels[graph.index(graph.fixed)])
+    labels[np.isin(labels, fixed)] = fixed[0] if len(fixed) else 0
+    i, j = labels[closures.ends].T
+    if (i == j).all():
         return np.empty(0, np.int64)
     poses = guess_of(trusted, "odometry").poses
     assert poses is not None
     parts = np.sort(labels[closures.ends], axis=1)
     between = np.flatnonzero(parts[:, 0] != parts[:, 1])
     _, connection = np.unique(parts[between], axis=0, return_inverse=True)
-    evidence = _evidence(closures, poses, between, connection.ravel())
+    evidence = _evidence(closures, poses, labels, between, connection.ravel())
     chosen: list[int] = []
     for k in between[np.lexsort((between, -evidence))].tolist():
         a, b = labels[closures.ends[k]]
@@ -52,8 +57,15 @@ def joining_closures(closures: Closures) -> Ids:
     return closures.edges[np.array(chosen, np.int64)]
 
 
-def _evidence(closures: Closures, poses: Floats, between: Ids, connection: Ids) -> Floats:
+def _evidence(
+    closures: Closures, poses: Floats, labels: Indices, between: Ids, connection: Ids
+) -> Floats:
     """Return how much closures of the same connection confirm each one, (k,)."""
+    # All of them from the part with the smaller label, so that only poses of one part are compared.
+    ends, measurements = closures.ends.copy(), closures.measurements.copy()
+    swapped = np.diff(labels[ends], axis=1)[:, 0] < 0
+    ends[swapped] = ends[swapped, ::-1]
+    measurements[swapped] = lie.inverse(measurements[swapped])
     evidence = np.zeros(len(between))
     own = np.einsum("kii->ki", closures.covariance)
     along = variance_along(closures.graph, closures.trusted)
@@ -62,9 +74,7 @@ def _evidence(closures: Closures, poses: Floats, between: Ids, connection: Ids) 
         members = np.flatnonzero(connection == k)
         others = members[:: -(-len(members) // _MAX_COMPARED)]
         rows = np.stack(np.meshgrid(members, others, indexing="ij"), axis=-1).reshape(-1, 2)
-        e, variance = cycle_residuals(
-            between[rows], closures.ends, closures.measurements, own, poses, along
-        )
+        e, variance = cycle_residuals(between[rows], ends, measurements, own, poses, along)
         cost = (np.square(e) / variance + np.log(2 * np.pi * variance)).sum(axis=1) / 2
         # None confirms itself, and what contradicts may be false.
         ratio = np.where(rows[:, 0] == rows[:, 1], 0, np.maximum(free - cost, 0))

@@ -52,7 +52,7 @@ def table_of(hypothesis: Hypothesis, trusted: Flags, *, interrupted: bool = Fals
     judged["reason"] = _reasons(closures, growth, hypothesis.first)
     if interrupted:
         judged["reason"][~kept] = "not judged: the time was over"
-    judged["reason"][trusted[closures.edges]] = RELEASED
+    judged["reason"][trusted[closures.edges] & ~kept] = RELEASED
     joining = _rows(closures, np.flatnonzero(closures.trusted & ~trusted), growth.poses)
     joining["chi2"] *= hypothesis.used.trusted or 1.0
     joining["kept"] = True
@@ -109,7 +109,7 @@ def _contradicted(closures: Closures, growth: Growth, rejected: int) -> str:
     own = int(np.count_nonzero(growth.runs == growth.runs[rejected]))
     if size[largest] <= own or largest == growth.runs[rejected]:
         return "contradicts the closures that are kept"
-    return f"contradicts cluster {largest}, which is larger"
+    return f"contradicts the map beside cluster {largest}, which is larger"
 
 
 def _rows(closures: Closures, edges: Ids, poses: Floats) -> AnyArray:

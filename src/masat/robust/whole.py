@@ -14,6 +14,7 @@ from masat.initializers import guess_of
 from masat.initializers.chordal import chordal
 from masat.optimizers import optimize
 from masat.optimizers.equations import normal_equations
+from masat.progress import Progress
 from masat.residuals import chi2_per_edge
 from masat.robust.closures import FAR_GATE, GATE, TENTH, Closures
 from masat.robust.prediction import agreement, predict_by_odometry
@@ -26,11 +27,14 @@ _MAX_ROUNDS = 3
 _MAX_RELEASED, _FAR = 5, 4.0
 # Closures whose information is off by more, against that of the trusted edges, are judged with
 # another one.
-_MAX_RATIO, _EXACT = 10.0, 1e-6
+_MAX_RATIO, _EXACT = 6.0, 1e-6
 # Factor by which information may be too large beyond what pairs of one place tell, and by which it
 # may be off where nothing tells.
 _MAX_EXCESS = 2.0
-_UNKNOWN = 4.0
+_UNKNOWN = 1.5
+# Gates beyond which a closure is an outlier by what the others predict. Its own chi2 is smaller,
+# since the optimization has spread the error.
+_OUTLYING = 1.5
 # Closures and pairs that are looked at before anything is optimized.
 _SAMPLE, _MIN_PAIRS = 2000, 10
 # The variance of a pair's cycle is estimated too large by about this factor.
@@ -66,7 +70,11 @@ class Fit(NamedTuple):
 
 
 def fit_of_all(
-    closures: Closures, scale: float = 1.0, initialize: Guess = chordal, search: Guess | None = None
+    closures: Closures,
+    scale: float = 1.0,
+    initialize: Guess = chordal,
+    search: Guess | None = None,
+    progress: Progress | None = None,
 ) -> Fit | None:
     """Return the map of all closures, if all but a few fit together; else None.
 
@@ -85,14 +93,19 @@ def fit_of_all(
         The initial guess.
     search : callable, optional
         From a minimum in which all edges fit to a lower one, if there is one.
+    progress : Progress, optional
+        What limits the time. Nothing is returned when it is over.
     """
+    progress = progress or Progress()
     whole, trusted = closures.graph, closures.trusted
     present = np.ones(len(whole.edges), np.bool_)
     graph = initialize(whole)
     most = _MAX_OUTLIERS * len(closures)
     for _ in range(_MAX_RELEASED + 1):
-        equations = normal_equations(graph)
-        graph = _optimized(graph, equations)
+        equations = normal_equations(graph, closures.threads)
+        graph = _optimized(graph, equations, progress)
+        if progress.over:
+            return None
         checks = redundancy(graph, equations)
         gate = _gates(checks, trusted[present], scale)
         if gate is None:
@@ -115,16 +128,20 @@ def fit_of_all(
     of_edge = np.full(len(present), np.inf)
     of_edge[present] = gate
     released = np.flatnonzero(~present)
+    predicted = np.zeros(len(present))
+    predicted[present] = checks.left_out / _OUTLYING
     for _ in range(_MAX_ROUNDS):
         assert graph.poses is not None
-        outliers = present & ~trusted & (chi2_per_edge(whole, graph.poses) > of_edge)
+        worst_of = np.maximum(chi2_per_edge(whole, graph.poses), predicted)
+        outliers = present & ~trusted & (worst_of > of_edge)
         if not outliers.any():
             return Fit(present[closures.edges], graph, scales, released)
         present &= ~outliers
         if np.count_nonzero(~present) > most + len(released):
             return None
         graph = _without(whole, ~present, graph)
-        graph = _optimized(graph, normal_equations(graph))
+        graph = _optimized(graph, normal_equations(graph, closures.threads), progress)
+        predicted[:] = 0.0
     return None
 
 
@@ -133,13 +150,14 @@ def _without(whole: PoseGraph, edges: Flags, at: PoseGraph) -> PoseGraph:
     return whole.without_edges(edges).with_poses(at.poses)
 
 
-def _optimized(graph: PoseGraph, equations: _core.NormalEquations) -> PoseGraph:
+def _optimized(graph: PoseGraph, equations: _core.NormalEquations, progress: Progress) -> PoseGraph:
     return optimize(
         graph,
         "dogleg",
         max_iterations=_ITERATIONS,
         relative_tolerance=_TOLERANCE,
         equations=equations,
+        progress=progress,
     ).graph
 
 
