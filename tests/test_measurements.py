@@ -355,3 +355,11 @@ def test_a_root_of_parts_that_landmarks_join_is_that_of_all():
 def test_components_are_in_the_order_of_their_poses_whatever_the_ids_of_landmarks():
     graph = two_squares(landmarks=masat.landmarks([(10, -5)], [(1, 1)]))
     assert graph.components.tolist() == [0] * 4 + [1] * 4
+
+
+@pytest.mark.filterwarnings("error")
+def test_no_id_is_left_for_the_world_beyond_the_largest():
+    last = 2**63 - 1
+    graph = PoseGraph.from_arrays([(0, last)], [(1, 0, 0)], priors=masat.gps([0], [(0, 0)], 1))
+    with pytest.raises(GraphError, match=f"the id {last} is the largest there is"):
+        masat.solve(graph)

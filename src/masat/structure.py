@@ -193,9 +193,9 @@ def joint_structure(poses: Structure, points: Ids, observations: Ids, priors: Id
         Ids of the nodes that priors tie to the world.
     """
     nodes = np.sort(np.concatenate([poses.ids, points]))
-    world = nodes[-1] + 1
     if nodes[-1] == np.iinfo(np.int64).max:
         raise GraphError(f"the id {nodes[-1]} is the largest there is: give the nodes smaller ids")
+    world = nodes[-1] + 1
     joint = Structure(
         np.append(nodes, world),
         np.concatenate([poses.edges, observations, np.stack([world + 0 * priors, priors], 1)]),
