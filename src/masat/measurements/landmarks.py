@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from masat import _checks as checks
-from masat.arrays import Flags, Floats, Ids, locked
+from masat.arrays import Flags, Floats, Ids, LockedArrays
 from masat.errors import GraphError
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Landmarks:
+class Landmarks(LockedArrays):
     """Points, and what poses saw of them.
 
     Attributes
@@ -35,15 +35,6 @@ class Landmarks:
     observations: Ids
     measurements: Floats
     information: Floats
-
-    def __post_init__(self) -> None:
-        self.__dict__.update(
-            ids=locked(self.ids),
-            positions=None if self.positions is None else locked(self.positions),
-            observations=locked(self.observations),
-            measurements=locked(self.measurements),
-            information=locked(self.information),
-        )
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike
 
 from masat import _checks as checks
 from masat import lie
-from masat.arrays import Flags, Floats, Ids, locked
+from masat.arrays import Flags, Floats, Ids, LockedArrays
 from masat.errors import GraphError
 from masat.residuals import as_poses
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Priors:
+class Priors(LockedArrays):
     """Measurements of nodes in the world's frame, one a row.
 
     The residual of a prior is the step from what was measured to the pose, as of an edge from the
@@ -41,14 +41,6 @@ class Priors:
     measurements: Floats
     information: Floats
     offsets: Floats | None = None
-
-    def __post_init__(self) -> None:
-        self.__dict__.update(
-            ids=locked(self.ids),
-            measurements=locked(self.measurements),
-            information=locked(self.information),
-            offsets=None if self.offsets is None else locked(self.offsets),
-        )
 
     def __len__(self) -> int:
         return len(self.ids)
