@@ -232,6 +232,47 @@ def test_edits_and_merges_carry_priors_and_landmarks():
 
 
 @pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize(
+    ("to", "new"),
+    [
+        (7, lambda k: k + 7),
+        (lambda k: -k, lambda k: -k),
+        ({50: 3, 3: 50}, lambda k: {50: 3, 3: 50}.get(k, k)),
+        ({k: 100 - k for k in range(4)}, lambda k: 100 - k if k < 4 else k),
+    ],
+)
+def test_relabelling_renames_poses_and_landmarks_alike(d, to, new):
+    graph = graph_of_everything(d)
+    other = graph.relabel(to)
+    assert other.ids.tolist() == sorted(new(k) for k in graph.ids.tolist())
+    assert other.point_ids.tolist() == sorted(new(k) for k in graph.point_ids.tolist())
+    assert other.priors.ids.tolist() == [new(k) for k in graph.priors.ids.tolist()]
+    where = dict(zip(other.point_ids.tolist(), other.points.tolist(), strict=True))
+    assert [where[new(k)] for k in graph.point_ids.tolist()] == graph.points.tolist()
+    for old, same in zip(costs(graph), costs(other), strict=True):
+        assert_array_equal(old, same)
+
+
+@pytest.mark.parametrize(
+    ("to", "message"),
+    [
+        ({0: 50}, "the node and the landmark 0 and 50 would both get the id 50"),
+        ({50: 2}, "the node and the landmark 2 and 50 would both get the id 2"),
+        ({50: 51}, "the landmarks 50 and 51 would both get the id 51"),
+        ({0: 1}, "the nodes 0 and 1 would both get the id 1"),
+        ({52: 1}, "the graph has no node 52"),
+    ],
+)
+def test_no_two_nodes_or_landmarks_get_one_id(to, message):
+    with pytest.raises(GraphError, match=message):
+        graph_of_everything(2).relabel(to)
+
+
+def costs(graph):
+    return graph.chi2_per_edge, graph.chi2_per_prior, graph.chi2_per_observation
+
+
+@pytest.mark.parametrize("d", [2, 3])
 def test_a_saved_result_keeps_them(d, tmp_path):
     result = masat.optimize(graph_of_everything(d))
     result.save(tmp_path / "map.npz")

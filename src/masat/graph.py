@@ -449,18 +449,19 @@ class PoseGraph:
         return editing.without_nodes(self, ids)
 
     def relabel(self, to: int | Mapping[int, int] | Callable[[int], int]) -> PoseGraph:
-        """Return the graph with other node ids; edges, fixed nodes, poses and stamps follow.
+        """Return the graph with other ids of nodes and landmarks; all that names them follows.
 
         Parameters
         ----------
         to : int, mapping or callable
-            An offset to add to all ids, a mapping from old to new ids (nodes that are not in it
-            keep theirs), or a function from the old to the new id.
+            An offset to add to all ids, a mapping from old to new ids (those that are not in it
+            remain), or a function from the old to the new id.
 
         Raises
         ------
         GraphError
-            If two nodes would get the same id, or if a new id is no integer of 64 bits.
+            If two nodes or landmarks would get the same id, if a mapping names an unknown id, or
+            if a new id is no integer of 64 bits.
         """
         return editing.relabel(self, to)
 
