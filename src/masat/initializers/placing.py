@@ -13,12 +13,13 @@ import numpy as np
 
 from masat import _core, lie
 from masat.alignment import Matches, moved, rigid_motion
-from masat.arrays import Flags, Floats, Ids, Indices
+from masat.arrays import Flags, Floats, Ids
 from masat.assembly import Assembly
 from masat.determinacy import body_of_each_node, with_undetermined_kept
 from masat.errors import InitializationError
 from masat.graph import PoseGraph
 from masat.information import isotropic_weights
+from masat.initializers.roots import notes_of_components
 from masat.optimizers.equations import normal_equations
 from masat.optimizers.translations import solve_translations
 
@@ -41,10 +42,11 @@ def placed_assembly(
     if guess.poses is None:
         raise InitializationError("the initial guess left the graph without poses")
     # How the parts of the full edges lie to each other is found here.
-    notes = [n for n in guess.notes if n not in source.notes and "each placed in a frame" not in n]
+    told = [*source.notes, *notes_of_components(assembly.graph.relative)]
+    notes = [note for note in guess.notes if note not in told]
     placing = _Placing(assembly, guess.poses)
     placing.run()
-    notes += _note_of_components(source)
+    notes += notes_of_components(source)
     complete, more = with_undetermined_kept(assembly.at(placing.poses))
     if placing.moved_as_one:
         # The first step of an optimizer improves the translations as much.
@@ -198,17 +200,6 @@ def _position_weights(information: Floats, isotropic: Floats) -> Floats:
     out = isotropic.copy()
     out[open_] = np.linalg.eigvalsh(information[open_, :3, :3])[:, 1].clip(min=0)
     return out
-
-
-def _note_of_components(graph: PoseGraph) -> list[str]:
-    labels: Indices = graph.components
-    count = int(labels.max()) + 1
-    if count == 1:
-        return []
-    return [
-        f"the graph has {count} components, each placed in a frame of its own: nothing measures "
-        "how they lie to each other"
-    ]
 
 
 def _with_better_translations(assembly: Assembly) -> Assembly:
