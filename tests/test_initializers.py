@@ -171,9 +171,7 @@ def test_the_note_of_components_tells_which_have_a_frame_of_their_own(method, pr
         fixed=[1, 8, 20],
         priors=priors,
     )
-    with pytest.warns(
-        MasatWarning, match="3 components, each placed by its fixed"
-    ):
+    with pytest.warns(MasatWarning, match="3 components, each placed by its fixed"):
         assert len(masat.initialize(graph, method).notes) == 1
     fewer = graph.with_fixed([] if priors else 20)
     message = r"3 components, 1 placed by fixed nodes or priors, .* from the roots 1, 8:"
