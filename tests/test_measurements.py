@@ -1,5 +1,7 @@
 """Priors and landmarks: what they hold, what they cost, and that one solver serves all."""
 
+import warnings
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -289,6 +291,52 @@ def test_degrees_of_freedom_count_what_was_measured():
     result = masat.solve(graph)
     assert result.degrees_of_freedom == 4 * 3 + 2 * 2 + 2 * 2 - 4 * 3 - 2
     assert masat.diagnose(graph).degrees_of_freedom == 6
+
+
+@pytest.mark.parametrize(
+    ("more", "extra"),
+    [
+        # One fix is met exactly: the heading stays open.
+        ({"priors": masat.gps([0], [(0, 0)], 0.1)}, 0),
+        ({"priors": masat.headings([0], [0], 0.1)}, 0),
+        ({"priors": masat.gps([0], [(0, 0)], 0.1) + masat.headings([1], [0], 0.1)}, 0),
+        ({"priors": masat.gps([0, 2], [(0, 0), (1, 1)], 0.1)}, 1),
+        # No direction is too little informed beside others: units differ.
+        ({"priors": masat.pose_priors([0, 2], [(0, 0, 0)] * 2, np.diag([1e13, 1e-4, 0]))}, 1),
+        # A landmark that nothing measures is no unknown, nor is what one ray leaves open.
+        ({"landmarks": masat.landmarks([(0, 9)], [(1, 1)], ids=[8, 9])}, 0),
+        ({"landmarks": masat.landmarks([(0, 9)], [(1, 0)], np.diag([0, 1.0]))}, 0),
+        ({"landmarks": masat.landmarks([(0, 9), (2, 9)], [(1, 1), (0, 0)])}, 2),
+    ],
+)
+def test_degrees_of_freedom_leave_out_what_nothing_determines(more, extra):
+    graph = square(**more)
+    # Four edges of three numbers and three optimized poses: three numbers are left over.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", masat.MasatWarning)
+        result = masat.solve(graph)
+    assert result.degrees_of_freedom == 3 + extra
+
+
+def test_degrees_of_freedom_without_poses_leave_out_landmarks_that_nothing_measures():
+    seen = masat.landmarks([(0, 9)], [(1, 1)], ids=[7, 8, 9])
+    graph = square(landmarks=seen, priors=masat.gps([8], [(0, 0)], 1))
+    assert masat.diagnose(graph.with_priors(None)).degrees_of_freedom == 3
+    assert masat.diagnose(square(landmarks=seen)).degrees_of_freedom == 3
+
+
+def test_degrees_of_freedom_of_numbers_that_overflow():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for scale, far in ((1.0, 1.0), (1e308, 1e150)):
+            graph = PoseGraph.from_arrays(
+                [(0, 1)],
+                [(1, 0, 0)],
+                scale * np.eye(3),
+                poses=[(0, 0, 0), (far, 0, 0)],
+                priors=masat.gps([0, 1], [(0, 0), (1, 0)], 1),
+            )
+            assert masat.diagnose(graph).degrees_of_freedom == 1
 
 
 def test_covariances_of_poses_and_landmarks_by_hand():

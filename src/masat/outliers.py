@@ -11,8 +11,8 @@ from masat.assembly import AssembledGraph
 from masat.chain import odometry_edges
 from masat.covariance import relative_covariances
 from masat.errors import OptimizationError
+from masat.freedoms import degrees_of_freedom
 from masat.graph import PoseGraph
-from masat.information import degrees_of_freedom
 from masat.neighbors import neighbor_scale
 from masat.residuals import residuals
 
