@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 import masat
 from masat import MasatWarning, OptimizationError, PoseGraph
 from masat.assembly import assemble
-from masat.determinacy import undetermined
+from masat.freedoms import undetermined
 
 SQUARE = [(0, 1), (1, 2), (2, 3), (3, 0)]
 PLANAR = [(1, 0, np.pi / 2)] * 4
@@ -118,3 +118,14 @@ def test_many_open_nodes_share_a_note():
         result = masat.solve(graph)
     assert len(result.graph.notes) == len(caught) == 6
     assert result.graph.notes[5].startswith("15 more nodes are not determined")
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_landmarks_that_nothing_measures_are_named(dimension):
+    graph = planar() if dimension == 2 else spatial()
+    position = [1.0] * dimension
+    seen = masat.landmarks([(0, 9)], [position], ids=[8, 9], positions=[position, position])
+    message = r"landmark 8: position not determined \(nothing measures it\); kept at the initial"
+    with pytest.warns(MasatWarning, match=message):
+        result = masat.solve(graph.with_landmarks(seen))
+    assert_allclose(result.graph.points, [position, position], atol=1e-9)

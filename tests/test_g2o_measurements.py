@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from test_measurements import graph_of_everything
 
 import masat
-from masat import FormatError, GraphError, MasatWarning
+from masat import FormatError, GraphError, MasatWarning, PoseGraph, lie
 
 # Costs of the edges, priors and observations; those of the planar file are g2o's own to all digits.
 PLANAR = """\
@@ -137,16 +137,94 @@ def test_other_tags_are_skipped_by_name_with_what_they_hold(read, line, meaning)
     ("line", "message"),
     [
         ("EDGE_PRIOR_SE2 0 1 2", "EDGE_PRIOR_SE2 takes: id x y theta"),
-        ("EDGE_PRIOR_SE2 9 0 0 0 1 0 0 1 0 1", "a prior names node 9"),
+        ("EDGE_PRIOR_SE2 9 0 0 0 1 0 0 1 0 1", "10: a prior names node 9"),
+        ("EDGE_PRIOR_SE2 7 0 0 0 1 0 0 1 0 1", "10: the prior of landmark 7 measures a rotation"),
+        ("EDGE_SE2_XY 9 7 1 2 1 0 1", r"10: observation 2 \(9 -> 7\) names pose 9"),
         ("EDGE_PRIOR_SE2_XY 0 1 2 -1 0 1", "10: .*prior of node 0, smallest eigenvalue -1"),
         ("EDGE_SE2_XY 0 9 1 2 1 0 1", "10: observation 2 .* names no landmark"),
         ("EDGE_SE2_XY 0 7 1 2 1 0", "10: EDGE_SE2_XY takes: pose point x y"),
         ("EDGE_SE2_POINTXY_OFFSET 0 7 3 1 2 1 0 1", "10: the line refers to the parameter 3"),
         ("FIX 7", "10: FIX names the landmark 7"),
-        ("VERTEX_XY 0 1 1", "the id 0 is that of a pose and of a landmark"),
+        ("VERTEX_XY 0 1 1", "10: the id 0 is that of a pose and of a landmark"),
         ("VERTEX_TRACKXYZ 8 1 1 1", "10: VERTEX_TRACKXYZ is 3D"),
     ],
 )
 def test_bad_lines_are_one_clear_error(read, line, message):
     with pytest.raises(FormatError, match=message):
         read(f"{PLANAR}{line}\n")
+
+
+SEEN = """\
+EDGE_SE2 0 1 1 0 1.57 1 0 0 2 0 3
+EDGE_SE2_XY 0 7 2.1 1.2 1 .2 2
+"""
+
+
+def test_a_landmark_without_a_vertex_is_named_where_it_is_first_seen(read):
+    with pytest.raises(FormatError, match="g2o:2: FIX names the landmark 7"):
+        read("EDGE_SE2_XY 0 7 1 1 1 0 1\nFIX 7\n")
+    with pytest.raises(FormatError, match="g2o:2: the id 7 is that of a pose and of a landmark"):
+        read(f"{SEEN}EDGE_SE2 1 7 1 0 0 1 0 0 1 0 1\n")
+
+
+@pytest.mark.parametrize("quaternion", ["0 0 0 2", "0.5 0.5 0.5 0", "0 0 1e200 1"])
+def test_an_offset_that_is_no_rotation_is_refused_wherever_it_is_used(read, quaternion):
+    text = SPATIAL.replace("4 1 2 3 .5 .5 .5 .5", f"4 1 2 3 {quaternion}")
+    for unused in ("EDGE_SE3_PRIOR", "EDGE_SE3_TRACKXYZ"):
+        lines = [line for line in text.splitlines() if not line.startswith(unused)]
+        with pytest.raises(FormatError, match="g2o:1: the offset of parameter 4 has a quaternion"):
+            read("\n".join(lines))
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_the_prior_of_a_landmark_is_written_in_the_axes_of_the_world(d, tmp_path):
+    # A quarter turn about z: what the prior calls x is y of the world.
+    pose = [5, 0, np.pi / 2] if d == 2 else [5, 0, 0, 0, 0, np.sqrt(0.5), np.sqrt(0.5)]
+    information = np.zeros((lie.DOF[d], lie.DOF[d]))
+    information[range(d), range(d)] = [4, 1, 1][:d]
+    position = np.array([6.0, 3, 0][:d])
+    graph = PoseGraph.from_arrays(
+        [],
+        np.empty((0, len(pose))),
+        ids=[0],
+        poses=[lie.identity(d)],
+        priors=masat.pose_priors([9], [pose], information),
+        landmarks=masat.landmarks([(0, 9)], [position], positions=[position]),
+    )
+    assert_allclose(graph.chi2, 1 * 1 + 4 * 9)
+    masat.write(graph, tmp_path / "graph.g2o")
+    again = masat.read(tmp_path / "graph.g2o")
+    assert_allclose(again.chi2, graph.chi2)
+    assert_allclose(again.priors.information[0, :2, :2], [[1, 0], [0, 4]], atol=1e-12)
+
+
+def test_fixed_nodes_that_no_edge_names_are_written_and_read(tmp_path):
+    graph = PoseGraph.from_arrays(
+        [(0, 1)],
+        [(1, 0, 0)],
+        ids=[0, 1, 2, 3],
+        fixed=[2, 3],
+        priors=masat.gps([2], [(0, 0)], 1),
+        landmarks=masat.landmarks([(0, 9), (3, 9)], [(1, 1), (1, 0)]),
+    )
+    masat.write(graph, tmp_path / "graph.g2o")
+    again = masat.read(tmp_path / "graph.g2o")
+    assert_array_equal(again.ids, graph.ids)
+    assert_array_equal(again.fixed, [2, 3])
+
+
+@pytest.mark.parametrize("priors", [None, masat.gps([9], [(1, 1)], 1)])
+def test_a_landmark_that_no_line_can_hold_is_not_lost_silently(priors, tmp_path):
+    graph = PoseGraph.from_arrays(
+        [(0, 1)],
+        [(1, 0, 0)],
+        priors=priors,
+        landmarks=masat.landmarks([(0, 8)], [(1, 1)], ids=[8, 9]),
+    )
+    with pytest.raises(GraphError, match="the landmark 9 has no position and no pose saw it"):
+        masat.write(graph, tmp_path / "graph.g2o")
+    placed = graph.with_points([(1, 1), (2, 2)])
+    masat.write(placed, tmp_path / "graph.g2o")
+    again = masat.read(tmp_path / "graph.g2o")
+    assert_array_equal(again.point_ids, [8, 9])
+    assert_array_equal(again.points, placed.points)

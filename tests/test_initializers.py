@@ -161,6 +161,24 @@ def test_each_component_gets_a_root_and_a_note(method):
     assert any("2 components" in note for note in guess.notes)
 
 
+@pytest.mark.parametrize("priors", [None, masat.gps([20, 21], [(5, 5), (5, 6)], 0.1)])
+@pytest.mark.parametrize("method", WALKS)
+def test_the_note_of_components_tells_which_have_a_frame_of_their_own(method, priors):
+    graph = PoseGraph.from_arrays(
+        [(1, 2), (8, 9), (20, 21)],
+        [(1, 0, 0)] * 3,
+        poses=[(k, 0, 0) for k in range(6)],
+        fixed=[1, 8, 20],
+        priors=priors,
+    )
+    with pytest.warns(MasatWarning, match="3 components, each placed by its fixed"):
+        assert len(masat.initialize(graph, method).notes) == 1
+    fewer = graph.with_fixed([] if priors else 20)
+    message = r"3 components, 1 placed by fixed nodes or priors, .* from the roots 1, 8:"
+    with pytest.warns(MasatWarning, match=message):
+        masat.initialize(fewer, method)
+
+
 @pytest.mark.parametrize("method", WALKS)
 def test_a_root_serves_its_own_component(method):
     graph = PoseGraph.from_arrays([(1, 2), (8, 9)], [(1, 0, 0), (0, 3, 0)])

@@ -1,5 +1,7 @@
 """Priors and landmarks: what they hold, what they cost, and that one solver serves all."""
 
+import warnings
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -232,6 +234,47 @@ def test_edits_and_merges_carry_priors_and_landmarks():
 
 
 @pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize(
+    ("to", "new"),
+    [
+        (7, lambda k: k + 7),
+        (lambda k: -k, lambda k: -k),
+        ({50: 3, 3: 50}, lambda k: {50: 3, 3: 50}.get(k, k)),
+        ({k: 100 - k for k in range(4)}, lambda k: 100 - k if k < 4 else k),
+    ],
+)
+def test_relabelling_renames_poses_and_landmarks_alike(d, to, new):
+    graph = graph_of_everything(d)
+    other = graph.relabel(to)
+    assert other.ids.tolist() == sorted(new(k) for k in graph.ids.tolist())
+    assert other.point_ids.tolist() == sorted(new(k) for k in graph.point_ids.tolist())
+    assert other.priors.ids.tolist() == [new(k) for k in graph.priors.ids.tolist()]
+    where = dict(zip(other.point_ids.tolist(), other.points.tolist(), strict=True))
+    assert [where[new(k)] for k in graph.point_ids.tolist()] == graph.points.tolist()
+    for old, same in zip(costs(graph), costs(other), strict=True):
+        assert_array_equal(old, same)
+
+
+@pytest.mark.parametrize(
+    ("to", "message"),
+    [
+        ({0: 50}, "the node and the landmark 0 and 50 would both get the id 50"),
+        ({50: 2}, "the node and the landmark 2 and 50 would both get the id 2"),
+        ({50: 51}, "the landmarks 50 and 51 would both get the id 51"),
+        ({0: 1}, "the nodes 0 and 1 would both get the id 1"),
+        ({52: 1}, "the graph has no node 52"),
+    ],
+)
+def test_no_two_nodes_or_landmarks_get_one_id(to, message):
+    with pytest.raises(GraphError, match=message):
+        graph_of_everything(2).relabel(to)
+
+
+def costs(graph):
+    return graph.chi2_per_edge, graph.chi2_per_prior, graph.chi2_per_observation
+
+
+@pytest.mark.parametrize("d", [2, 3])
 def test_a_saved_result_keeps_them(d, tmp_path):
     result = masat.optimize(graph_of_everything(d))
     result.save(tmp_path / "map.npz")
@@ -248,6 +291,52 @@ def test_degrees_of_freedom_count_what_was_measured():
     result = masat.solve(graph)
     assert result.degrees_of_freedom == 4 * 3 + 2 * 2 + 2 * 2 - 4 * 3 - 2
     assert masat.diagnose(graph).degrees_of_freedom == 6
+
+
+@pytest.mark.parametrize(
+    ("more", "extra"),
+    [
+        # One fix is met exactly: the heading stays open.
+        ({"priors": masat.gps([0], [(0, 0)], 0.1)}, 0),
+        ({"priors": masat.headings([0], [0], 0.1)}, 0),
+        ({"priors": masat.gps([0], [(0, 0)], 0.1) + masat.headings([1], [0], 0.1)}, 0),
+        ({"priors": masat.gps([0, 2], [(0, 0), (1, 1)], 0.1)}, 1),
+        # No direction is too little informed beside others: units differ.
+        ({"priors": masat.pose_priors([0, 2], [(0, 0, 0)] * 2, np.diag([1e13, 1e-4, 0]))}, 1),
+        # A landmark that nothing measures is no unknown, nor is what one ray leaves open.
+        ({"landmarks": masat.landmarks([(0, 9)], [(1, 1)], ids=[8, 9])}, 0),
+        ({"landmarks": masat.landmarks([(0, 9)], [(1, 0)], np.diag([0, 1.0]))}, 0),
+        ({"landmarks": masat.landmarks([(0, 9), (2, 9)], [(1, 1), (0, 0)])}, 2),
+    ],
+)
+def test_degrees_of_freedom_leave_out_what_nothing_determines(more, extra):
+    graph = square(**more)
+    # Four edges of three numbers and three optimized poses: three numbers are left over.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", masat.MasatWarning)
+        result = masat.solve(graph)
+    assert result.degrees_of_freedom == 3 + extra
+
+
+def test_degrees_of_freedom_without_poses_leave_out_landmarks_that_nothing_measures():
+    seen = masat.landmarks([(0, 9)], [(1, 1)], ids=[7, 8, 9])
+    graph = square(landmarks=seen, priors=masat.gps([8], [(0, 0)], 1))
+    assert masat.diagnose(graph.with_priors(None)).degrees_of_freedom == 3
+    assert masat.diagnose(square(landmarks=seen)).degrees_of_freedom == 3
+
+
+def test_degrees_of_freedom_of_numbers_that_overflow():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for scale, far in ((1.0, 1.0), (1e308, 1e150)):
+            graph = PoseGraph.from_arrays(
+                [(0, 1)],
+                [(1, 0, 0)],
+                scale * np.eye(3),
+                poses=[(0, 0, 0), (far, 0, 0)],
+                priors=masat.gps([0, 1], [(0, 0), (1, 0)], 1),
+            )
+            assert masat.diagnose(graph).degrees_of_freedom == 1
 
 
 def test_covariances_of_poses_and_landmarks_by_hand():
@@ -305,3 +394,61 @@ def test_information_may_be_semidefinite_but_not_indefinite_or_zero(matrix, fine
         return
     with pytest.raises(InformationError, match="are zero or not positive semidefinite"):
         PoseGraph.from_arrays([(0, 1)], [(1, 0, 0)], matrix)
+
+
+@pytest.mark.parametrize("left", [None, masat.landmarks([(0, 8)], [(1, 1)])])
+def test_a_landmark_with_a_prior_cannot_be_taken_out_alone(left):
+    graph = PoseGraph.from_arrays(
+        [(0, 1), (1, 20)],
+        [(1, 0, 0)] * 2,
+        priors=masat.gps([9, 0, 20], [(50, 70), (0, 0), (2, 0)], 0.1),
+        landmarks=masat.landmarks([(0, 9)], [(1, 1)]),
+    )
+    with pytest.raises(GraphError, match="a prior names node 9, which is not in the graph"):
+        graph.with_landmarks(left)
+    alone = graph.with_priors(graph.priors.rows(graph.priors.ids != 9)).with_landmarks(left)
+    assert_allclose(masat.solve(alone).poses[:, :2], [(0, 0), (1, 0), (2, 0)], atol=1e-6)
+
+
+def two_squares(priors=None, landmarks=None, fixed=()):
+    """Nodes 0 to 3 and 10 to 13, each a square in a frame of its own."""
+    edges = [*SQUARE, *((a + 10, b + 10) for a, b in SQUARE)]
+    return PoseGraph.from_arrays(
+        edges, [QUARTER[2]] * 8, priors=priors, landmarks=landmarks, fixed=fixed
+    )
+
+
+@pytest.mark.parametrize("root_of", [PoseGraph.with_root, lambda g, k: masat.solve(g, root=k)])
+def test_a_root_that_priors_place_is_refused(root_of):
+    graph = two_squares(masat.gps([0, 2], [(5, 5), (6, 6)], 0.1))
+    with pytest.raises(GraphError, match="the root 1 cannot be chosen: priors place"):
+        root_of(graph, 1)
+    assert graph.with_root(12).gauge.tolist() == [12]
+    fixed = graph.with_fixed(3)
+    assert fixed.with_root(3).gauge.tolist() == fixed.gauge.tolist() == [3, 10]
+
+
+def test_a_root_of_parts_that_landmarks_join_is_that_of_all():
+    seen = masat.landmarks([(0, 50), (10, 50)], [(1, 1), (1, 0)])
+    graph = two_squares(landmarks=seen)
+    assert graph.gauge.tolist() == [0]
+    assert graph.with_root(1).with_root(12).gauge.tolist() == [12]
+    with pytest.raises(GraphError, match="the roots 1 and 12 are in one component"):
+        graph.with_root([1, 12])
+    with pytest.raises(GraphError, match="the root 12 is not fixed but its component holds fixed"):
+        two_squares(landmarks=seen, fixed=0).with_root(12)
+    with pytest.raises(GraphError, match="the graph has no node 50"):
+        graph.with_root(50)
+
+
+def test_components_are_in_the_order_of_their_poses_whatever_the_ids_of_landmarks():
+    graph = two_squares(landmarks=masat.landmarks([(10, -5)], [(1, 1)]))
+    assert graph.components.tolist() == [0] * 4 + [1] * 4
+
+
+@pytest.mark.filterwarnings("error")
+def test_no_id_is_left_for_the_world_beyond_the_largest():
+    last = 2**63 - 1
+    graph = PoseGraph.from_arrays([(0, last)], [(1, 0, 0)], priors=masat.gps([0], [(0, 0)], 1))
+    with pytest.raises(GraphError, match=f"the id {last} is the largest there is"):
+        masat.solve(graph)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 from random_graphs import random_graph
+from test_measurements import graph_of_everything
 
 import masat
 from masat import FormatError, GraphError, InformationError, PoseGraph
@@ -128,6 +129,19 @@ def test_a_copied_graph_is_the_same_and_read_only(dimension, prepared, copied):
     assert locked_names(other.structure, OF_STRUCTURE) == []
     assert_same(graph, other)
     assert_same(graph, copied(other))
+
+
+@pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_copied_priors_and_landmarks_are_the_same_and_read_only(dimension, copied):
+    graph = graph_of_everything(dimension)
+    other = copied(graph)
+    for part in ("priors", "landmarks"):
+        old, new = getattr(graph, part), getattr(other, part)
+        names = [field.name for field in fields(old)]
+        assert locked_names(new, names) == locked_names(copied(new), names) == []
+        for name in names:
+            assert_array_equal(getattr(old, name), getattr(new, name))
 
 
 @pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)

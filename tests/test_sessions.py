@@ -229,8 +229,9 @@ def run(monkeypatch, capsys, tmp_path):
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_table_of_links_is_read(tmp_path, dimension):
     dof, size = lie.DOF[dimension], lie.POSE_SIZE[dimension]
-    pose = np.arange(1.0, size + 1)
-    upper = np.arange(1.0, dof * (dof + 1) // 2 + 1)
+    pose = np.array([1.0, 2, 3, 0.1, 0.3, 0.3, 0.9])[:size]
+    # Different numbers, and a diagonal that dominates.
+    upper = (np.arange(dof * dof).reshape(dof, dof) + 100 * dof * np.eye(dof))[np.triu_indices(dof)]
     row = " ".join(map(str, [0, 12, 1, -3, *pose, *upper]))
     path = tmp_path / "links.txt"
     path.write_text(f"# from the front end\n\n{row}  # one\n{row}\n")
@@ -253,6 +254,13 @@ def test_a_table_of_links_is_read(tmp_path, dimension):
         ("0 1 1 x 1 0 0\n", 1, "'x' is no session or id"),
         ("0 1 1 2.5 1 0 0\n", 1, "'2.5' is no session or id"),
         ("0 1 1 2 1 zero 0\n", 1, "expected numbers after session, id, session, id"),
+        ("0 1 1 1_0 1 0 0\n", 1, "'1_0' is no session or id"),
+        (f"0 {'9' * 5000} 1 2 1 0 0\n", 1, "is no session or id"),
+        ("0 1 1 2 1 1_0 0\n", 1, "'1_0' is no finite number"),
+        ("0 1 1 2 1 0 0\n\n0 1 1 2 nan 0 0\n", 3, "'nan' is no finite number"),
+        ("0 1 1 2 1 0 0\n\n0 1 1 2 1 1e999 0\n", 3, "'1e999' is no finite number"),
+        ("0 1 1 2 1 0 0 1 0 0 1 0 1\n0 1 1 2 1 0 0 1 0 0 -1 0 1\n", 2, "eigenvalue -1"),
+        ("\n0 1 1 2 1 0 0 0 0 0 2\n", 2, "quaternion of length 2"),
     ],
 )
 def test_a_bad_table_of_links_is_refused(tmp_path, text, line, message):

@@ -229,6 +229,8 @@ def test_other_comments_are_no_stamps(read, comment):
         ((1.0, 2.0, "1e999"), 3, "the stamp '1e999' of vertex 2 is no time"),
         ((1.0, "1_0.5", 3.0), 2, "the stamp '1_0.5' of vertex 1 is no time"),
         ((1.0, "1.5 2", 3.0), 2, "the stamp '1.5 2' of vertex 1 is no time"),
+        ((1, "9" * 5000, 3), 2, "the stamp '9{39} of vertex 1 is no time"),
+        ((1, 2, -(2**63) - 1), 3, "the stamp '-9223372036854775809' of vertex 2 is no time"),
         ((2**63, 2, 3), 1, "an integer of at most 64 bits"),
         ((1, 2.5, 3), 2, "the stamp '2.5' of vertex 1 is in seconds, but those before are in nano"),
         ((1.5, 2, 3), 2, r"is in nanoseconds \(an integer\), but those before are in seconds"),

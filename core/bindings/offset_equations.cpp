@@ -47,6 +47,7 @@ std::unique_ptr<NormalEquations> equations_at_offsets(nb::object topology,
   const std::size_t size = measurements.shape(1);
   require(offsets.shape(0) == measurements.shape(0) && offsets.shape(1) == size,
           "one offset an edge");
+  nb::gil_scoped_release release;
   return with_group(size, [&]<class Group>(Group*) -> std::unique_ptr<NormalEquations> {
     require(information.shape(1) == Group::kDof && information.shape(2) == Group::kDof,
             "information must be (m, d, d)");

@@ -75,6 +75,14 @@ def row_of_integers(name: str, values: Any) -> Ids:
     return distinct(out)
 
 
+def node_ids(ids: ArrayLike) -> Ids:
+    """Return a copy of node ids, (n,)."""
+    nodes = integers("ids", ids)
+    if nodes.ndim != 1:
+        raise GraphError(f"ids must have shape (n,), got {nodes.shape}")
+    return nodes
+
+
 def flags(values: Any) -> Flags | None:
     """Return booleans as an array, or None if the values are no booleans or there are none."""
     raw = _array("a mask", values, "booleans")
@@ -138,7 +146,7 @@ def rotations(poses: Floats, what: str, names: Ids, kind: str) -> Floats:
     def refuse(row: int, why: str) -> None:
         if kind == "edge":
             raise GraphError(f"the {what} of {edge_name(names, row)} {why}", edge=row)
-        raise GraphError(f"the {what} of node {names[row]} {why}", node=row)
+        raise GraphError(f"the {what} of {kind} {names[row]} {why}", node=row)
 
     if not np.isfinite(poses).all():
         refuse(int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0]), "is not finite")
@@ -219,15 +227,18 @@ def known_priors(priors: Priors, dimension: int, nodes: Ids, points: Ids) -> Non
         raise GraphError(f"the priors are in {priors.dimension}D but the graph is in {dimension}D")
     on_pose = among(nodes, priors.ids)
     on_point = among(points, priors.ids) if len(points) else np.zeros_like(on_pose)
-    for node in priors.ids[~(on_pose | on_point)][:1]:
-        raise GraphError(f"a prior names node {node}, which is not in the graph")
+    for k in np.flatnonzero(~(on_pose | on_point))[:1]:
+        raise GraphError(
+            f"a prior names node {priors.ids[k]}, which is not in the graph", node=int(k)
+        )
     turned = priors.information[:, dimension:].any(axis=(1, 2))
     if priors.offsets is not None:
         turned |= (priors.offsets[:, :dimension] != 0).any(axis=1)
-    for node in priors.ids[on_point & turned][:1]:
+    for k in np.flatnonzero(on_point & turned)[:1]:
         raise GraphError(
-            f"the prior of landmark {node} measures a rotation or has an offset: a point has a "
-            "position alone"
+            f"the prior of landmark {priors.ids[k]} measures a rotation or has an offset: a point "
+            "has a position alone",
+            node=int(k),
         )
 
 
@@ -237,13 +248,17 @@ def known_landmarks(landmarks: Landmarks, dimension: int, nodes: Ids) -> None:
         raise GraphError(
             f"the landmarks are in {landmarks.dimension}D but the graph is in {dimension}D"
         )
-    for node in landmarks.ids[among(nodes, landmarks.ids)][:1]:
-        raise GraphError(f"the id {node} is that of a pose and of a landmark: choose another")
+    for k in np.flatnonzero(among(nodes, landmarks.ids))[:1]:
+        raise GraphError(
+            f"the id {landmarks.ids[k]} is that of a pose and of a landmark: choose another",
+            node=int(k),
+        )
     pairs = landmarks.observations
     for k in np.flatnonzero(~among(nodes, pairs[:, 0]))[:1]:
         raise GraphError(
             f"observation {k} ({pairs[k, 0]} -> {pairs[k, 1]}) names pose {pairs[k, 0]}, which is "
-            "not in the graph"
+            "not in the graph",
+            edge=int(k),
         )
 
 

@@ -5,6 +5,7 @@ The docstrings of the functions tell the shapes.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -30,3 +31,19 @@ def locked(a: NDArray[_Scalar]) -> NDArray[_Scalar]:
     if isinstance(a.base, memoryview) and a.base.readonly:
         return a
     return np.asarray(a.data.toreadonly())
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LockedArrays:
+    """A dataclass of arrays that are read-only from the start, in copies and in pickles too."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is not None:
+                self.__dict__[field.name] = locked(value)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        # Pickles do not keep the flag of an array.
+        self.__post_init__()

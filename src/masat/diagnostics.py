@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from masat.arrays import Flags, Floats
+from masat.freedoms import degrees_of_freedom as _degrees_of_freedom
 from masat.graph import PoseGraph
-from masat.information import degrees_of_freedom as _degrees_of_freedom
 from masat.issues import duplicate_edges, find_issues, repeated_pairs
 from masat.residuals import chi2_per_edge
 

@@ -125,38 +125,38 @@ def with_fixed(graph: PoseGraph, fixed: int | Iterable[int]) -> PoseGraph:
 
 def relabel(graph: PoseGraph, to: Renaming) -> PoseGraph:
     """See `PoseGraph.relabel`."""
-    renamed = _renamed(graph, to)
-    order = np.argsort(renamed, kind="stable")
-    nodes = renamed[order]
-    for k in np.flatnonzero(nodes[1:] == nodes[:-1])[:1]:
-        a, b = graph.ids[order[k : k + 2]]
-        raise GraphError(f"the nodes {a} and {b} would both get the id {nodes[k]}")
-    old = graph.structure
+    old, n = graph.structure, len(graph.ids)
+    every = np.concatenate([graph.ids, graph.point_ids])
+    new = _renamed(every, to)
+    _refuse_twins(every, new, n)
+    nodes, points = new[:n], new[n:]
+    order = np.argsort(nodes, kind="stable")
     structure = Structure(
-        nodes,
-        renamed[graph.edge_indices].astype(np.int64).reshape(-1, 2),
-        np.sort(renamed[graph.index(graph.fixed)]),
+        nodes[order],
+        nodes[graph.edge_indices].reshape(-1, 2),
+        np.sort(nodes[graph.index(graph.fixed)]),
         graph.dof,
-        renamed[graph.index(old.roots)],
+        nodes[graph.index(old.roots)],
     )
     in_order = bool((order[1:] > order[:-1]).all())
     if in_order:
         structure.share_connectivity(old)
     poses = graph.poses if in_order or graph.poses is None else graph.poses[order]
     stamps = graph.stamps if in_order or graph.stamps is None else graph.stamps[order]
-    out = replace(
-        _restructured(graph, structure, poses=poses, stamps=stamps), priors=None, landmarks=None
+    landmarks, priors = graph.landmarks, graph.priors
+    if landmarks is not None:
+        order = np.argsort(points, kind="stable")
+        landmarks = replace(
+            landmarks,
+            ids=points[order],
+            positions=None if landmarks.positions is None else landmarks.positions[order],
+            observations=new[_indices(every, landmarks.observations)],
+        )
+    if priors is not None:
+        priors = priors.renamed(new[_indices(every, priors.ids)])
+    return _restructured(
+        graph, structure, poses=poses, stamps=stamps, landmarks=landmarks, priors=priors
     )
-    if graph.landmarks is not None:
-        seen = graph.landmarks
-        pairs = seen.observations.copy()
-        pairs[:, 0] = renamed[graph.index(pairs[:, 0])]
-        out = out.with_landmarks(replace(seen, observations=pairs))
-    if graph.priors is not None:
-        ids, on_pose = graph.priors.ids.copy(), np.isin(graph.priors.ids, graph.ids)
-        ids[on_pose] = renamed[graph.index(ids[on_pose])]
-        out = out.with_priors(graph.priors.renamed(ids))
-    return out
 
 
 def joined_labels(parts: list[tuple[Labels | None, int]]) -> Labels | None:
@@ -183,9 +183,7 @@ def _new_nodes(
         named = checks.distinct(pairs)
         nodes = named[~checks.among(graph.ids, named)]
     else:
-        nodes = checks.integers("ids", ids)
-        if nodes.ndim != 1:
-            raise GraphError(f"ids must have shape (n,), got {nodes.shape}")
+        nodes = checks.node_ids(ids)
         for node in nodes[checks.among(graph.ids, nodes)][:1]:
             raise GraphError(f"node {node} is in the graph already: name only new nodes in `ids`")
         checks.ascending(nodes, None)
@@ -283,22 +281,40 @@ def _restructured(graph: PoseGraph, structure: Structure, **arrays: Any) -> Pose
     )
 
 
-def _renamed(graph: PoseGraph, to: Renaming) -> Ids:
-    """Return the new id of each node."""
+def _renamed(ids: Ids, to: Renaming) -> Ids:
+    """Return the new id of each node and landmark."""
     if isinstance(to, Mapping):
         keys = list(to)
-        out = graph.ids.copy()
+        out = ids.copy()
         values = checks.integers("new ids", [to[k] for k in keys])
         if values.shape != (len(keys),):
             raise GraphError("new ids must be one integer for each node")
-        out[graph.index(keys)] = values
+        out[_indices(ids, checks.integers("ids", keys))] = values
         return out
     if callable(to):
-        out = checks.integers("new ids", [to(node) for node in graph.ids.tolist()])
+        out = checks.integers("new ids", [to(node) for node in ids.tolist()])
         if out.ndim != 1:
             raise GraphError("new ids must be one integer for each node")
         return out
-    return shifted(graph.ids, to)
+    return shifted(ids, to)
+
+
+def _refuse_twins(old: Ids, new: Ids, poses: int) -> None:
+    """Refuse new ids that are the same; the first ones are those of the poses."""
+    order = np.argsort(new, kind="stable")
+    for k in np.flatnonzero(np.diff(new[order]) == 0)[:1]:
+        a, b = order[k : k + 2]
+        what = "nodes" if b < poses else "landmarks" if a >= poses else "node and the landmark"
+        raise GraphError(f"the {what} {old[a]} and {old[b]} would both get the id {new[a]}")
+
+
+def _indices(ids: Ids, wanted: Ids) -> Ids:
+    """Return the indices of wanted ids, of any shape, among ids in any order."""
+    order = np.argsort(ids, kind="stable")
+    indices: Ids = order[np.searchsorted(ids, wanted, sorter=order).clip(max=len(ids) - 1)]
+    for node in wanted[ids[indices] != wanted][:1]:
+        raise GraphError(f"the graph has no node {node}")
+    return indices
 
 
 def shifted(ids: Ids, offset: int) -> Ids:

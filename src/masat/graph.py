@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from masat import _checks as checks
-from masat import _core, editing, lie, residuals
+from masat import _core, construction, editing, lie, residuals
 from masat import stamps as times
-from masat.arrays import Floats, Ids, Indices, Labels, Stamps, locked
+from masat.arrays import Flags, Floats, Ids, Indices, Labels, Stamps, locked
 from masat.errors import GraphError
 from masat.information import partial
 from masat.measurements import Landmarks, Priors, joined
@@ -164,53 +164,20 @@ class PoseGraph:
         InformationError
             If information matrices are zero or not symmetric positive semidefinite. It counts them.
         """
-        pairs = checks.pairs_of_ids(edges)
-        all_priors = joined(priors)
-        z = checks.table("measurements", measurements)
-        given = None if poses is None else checks.table("poses", poses)
-        if z.shape[1] == 0:
-            z = z.reshape(0, _pose_size(given, all_priors, landmarks))
-        if z.shape[1] not in (3, 7):
-            raise GraphError(f"measurements must have shape (m, 3) or (m, 7), got {z.shape}")
-        if len(pairs) != len(z):
-            raise GraphError(f"{len(pairs)} edges but {len(z)} measurements")
-        dof = lie.DOF[2 if z.shape[1] == 3 else 3]
-
-        nodes = _named(pairs, all_priors, landmarks) if ids is None else checks.integers("ids", ids)
-        if nodes.ndim != 1:
-            raise GraphError(f"ids must have shape (n,), got {nodes.shape}")
-        if len(nodes) == 0:
-            raise GraphError("the graph is empty: it has no node")
-        if given is not None and given.shape != (len(nodes), z.shape[1]):
-            raise GraphError(
-                f"poses must have shape ({len(nodes)}, {z.shape[1]}) to go with the ids and the "
-                f"measurements, got {given.shape}"
-            )
-        z = checks.rotations(z, "measurement", pairs, "edge")
-        if given is not None:
-            given = checks.rotations(given, "pose", nodes, "node")
-        stamped = times.node_stamps(stamps, nodes)
-        if stamped is not None:
-            stamped = stamped[np.argsort(nodes, kind="stable")]
-        nodes, given = checks.ascending(nodes, given)
-        checks.known_edges(nodes, pairs)
-        fixed_ids = checks.row_of_integers("fixed", fixed)
-        checks.known_nodes(nodes, fixed_ids, "fixed node")
-        graph = cls(
-            ids=nodes,
-            poses=given,
-            edges=pairs,
-            measurements=z,
-            information=checks.information_matrices(information, pairs, dof),
-            fixed=fixed_ids,
-            notes=tuple(notes),
-            labels=checks.edge_labels(labels, len(pairs)),
-            stamps=stamped,
+        return construction.from_arrays(
+            cls,
+            edges,
+            measurements,
+            information,
+            ids=ids,
+            poses=poses,
+            fixed=fixed,
+            notes=notes,
+            labels=labels,
+            stamps=stamps,
+            priors=priors,
+            landmarks=landmarks,
         )
-        if all_priors is not None or landmarks is not None:
-            graph = graph.with_landmarks(landmarks).with_priors(all_priors)
-        graph.structure.check_fixed(given)
-        return graph
 
     @property
     def dimension(self) -> int:
@@ -359,12 +326,16 @@ class PoseGraph:
         Raises
         ------
         GraphError
-            If an observation names an unknown pose, if a landmark has the id of a pose, or if the
-            landmarks are in 2D where the graph is in 3D or conversely.
+            If an observation names an unknown pose, if a landmark has the id of a pose, if the
+            landmarks are in 2D where the graph is in 3D or conversely, or if a prior of the graph
+            names a landmark that would be gone: replace the priors first, with `with_priors`.
         """
         if landmarks is not None:
             checks.known_landmarks(landmarks, self.dimension, self.ids)
-        return replace(self, landmarks=landmarks)
+        out = replace(self, landmarks=landmarks)
+        if self.priors is not None:
+            checks.known_priors(self.priors, self.dimension, self.ids, out.point_ids)
+        return out
 
     def with_points(self, positions: ArrayLike) -> PoseGraph:
         """Return the graph with its landmarks at other positions, in the order of `point_ids`."""
@@ -375,7 +346,8 @@ class PoseGraph:
     def with_root(self, root: ArrayLike) -> PoseGraph:
         """Return the graph with `root` as the gauge-fixed node of its component.
 
-        Without this, the gauge-fixed node of a component without fixed nodes is its smallest id.
+        Without this, the gauge-fixed node of a component without fixed nodes is its smallest id. A
+        component with priors has none: the priors place it in the world's frame.
 
         Parameters
         ----------
@@ -387,9 +359,17 @@ class PoseGraph:
         ------
         GraphError
             If the graph has no such node, or if the node is not fixed but its component has fixed
-            nodes.
+            nodes or priors.
         """
-        return replace(self, structure=self.structure.with_roots(root))
+        roots = checks.distinct(checks.integers("roots", root))
+        if self.priors is not None:
+            placed = self._placed_by_priors[self.index(roots)]
+            for node in roots[placed & ~np.isin(roots, self.fixed)][:1]:
+                raise GraphError(
+                    f"the root {node} cannot be chosen: priors place its component in the world's "
+                    "frame, so all of its nodes are optimized; leave the root out"
+                )
+        return replace(self, structure=self.structure.with_roots(roots, self.components))
 
     def with_fixed(self, ids: int | Iterable[int]) -> PoseGraph:
         """Return the graph with these fixed nodes in place of those it has.
@@ -469,18 +449,19 @@ class PoseGraph:
         return editing.without_nodes(self, ids)
 
     def relabel(self, to: int | Mapping[int, int] | Callable[[int], int]) -> PoseGraph:
-        """Return the graph with other node ids; edges, fixed nodes, poses and stamps follow.
+        """Return the graph with other ids of nodes and landmarks; all that names them follows.
 
         Parameters
         ----------
         to : int, mapping or callable
-            An offset to add to all ids, a mapping from old to new ids (nodes that are not in it
-            keep theirs), or a function from the old to the new id.
+            An offset to add to all ids, a mapping from old to new ids (those that are not in it
+            remain), or a function from the old to the new id.
 
         Raises
         ------
         GraphError
-            If two nodes would get the same id, or if a new id is no integer of 64 bits.
+            If two nodes or landmarks would get the same id, if a mapping names an unknown id, or
+            if a new id is no integer of 64 bits.
         """
         return editing.relabel(self, to)
 
@@ -520,7 +501,15 @@ class PoseGraph:
             return self.structure.components
         joint = self.joint_structure
         labels = joint.components[joint.index(self.ids)]
-        return locked(np.unique(labels, return_inverse=True)[1].astype(np.int32))
+        # A landmark may have a smaller id than the poses that saw it.
+        _, first, own = np.unique(labels, return_index=True, return_inverse=True)
+        return locked(np.argsort(np.argsort(first))[own].astype(np.int32))
+
+    @property
+    def _placed_by_priors(self) -> Flags:
+        """Which nodes are in a component with priors, (n,): that of the world."""
+        joint = self.joint_structure
+        return np.asarray(joint.components[joint.index(self.ids)] == joint.components[-1])
 
     @cached_property
     def gauge(self) -> Ids:
@@ -538,27 +527,3 @@ class PoseGraph:
     def elimination(self) -> _core.Elimination:
         """The order in which the optimized nodes are eliminated from the linear systems."""
         return self.structure.elimination
-
-
-def _pose_size(poses: Floats | None, priors: Priors | None, landmarks: Landmarks | None) -> int:
-    """Return how many numbers a pose has where no edge tells it."""
-    if poses is not None:
-        return int(poses.shape[1])
-    if priors is not None:
-        return int(priors.measurements.shape[1])
-    return 3 if landmarks is None else lie.POSE_SIZE[landmarks.dimension]
-
-
-def _named(pairs: Ids, priors: Priors | None, landmarks: Landmarks | None) -> Ids:
-    """Return the ids of the poses that edges, priors and observations name, ascending."""
-    if priors is None and landmarks is None:
-        return checks.distinct(pairs)
-    named = [pairs.ravel()]
-    if priors is not None:
-        on_pose = np.ones(len(priors), np.bool_)
-        if landmarks is not None:
-            on_pose = ~np.isin(priors.ids, landmarks.ids)
-        named.append(priors.ids[on_pose])
-    if landmarks is not None:
-        named.append(landmarks.observations[:, 0])
-    return checks.distinct(np.concatenate(named))

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
 from masat import _core
 from masat.arrays import Floats, Ids
-
-if TYPE_CHECKING:
-    from masat.graph import PoseGraph
 
 Repair: TypeAlias = Literal["error", "nearest", "identity"]
 """What to do with indefinite information: refuse it, or take the nearest or the identity."""
@@ -37,10 +34,7 @@ def not_semidefinite(information: Floats) -> Ids:
     fine = (diagonal >= 0).all(axis=1) & diagonal.any(axis=1)
     # A direction without information has no part in the others either.
     fine &= ~((diagonal == 0)[:, :, None] & (rows != 0)).any(axis=(1, 2))
-    # By the diagonal, so that neither units nor numbers near the largest double matter.
-    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    with np.errstate(over="ignore"):
-        scaled = rows / scale[:, :, None] / scale[:, None]
+    scaled = _scaled(rows)
     # Of a semidefinite matrix no entry is beyond 1 now.
     fine &= (np.abs(scaled) <= 1 + _ROUNDED_ZERO).all(axis=(1, 2))
     fine[fine] = np.linalg.eigvalsh(scaled[fine])[:, 0] >= -_ROUNDED_ZERO
@@ -77,25 +71,14 @@ def nearest_positive_definite(information: Floats) -> Floats:
     return repaired
 
 
-def degrees_of_freedom(graph: PoseGraph) -> int:
-    """Return the number of measured values minus the number of unknown ones."""
-    values = graph.dof * len(graph.edges) - _unmeasured(graph.information)
-    if graph.priors is not None:
-        values += graph.dof * len(graph.priors) - _unmeasured(graph.priors.information)
-    if graph.landmarks is not None:
-        seen = graph.landmarks
-        values += graph.dimension * (len(seen.observations) - len(seen))
-        values -= _unmeasured(seen.information)
-    return values - graph.dof * (len(graph.ids) - len(graph.gauge))
-
-
-def _unmeasured(information: Floats) -> int:
-    """Return in how many directions matrices, (m, d, d), have no information."""
+def measured_directions(information: Floats) -> int:
+    """Return in how many directions matrices, (m, d, d), have information, all added up."""
+    every = int(np.prod(information.shape[:2]))
     open_ = partial(information)
     if len(open_) == 0:
-        return 0
-    values = np.linalg.eigvalsh(information[open_])
-    return int(np.count_nonzero(values <= _ROUNDED_ZERO * values[:, -1:]))
+        return every
+    values = np.linalg.eigvalsh(_scaled(information[open_]))
+    return every - int(np.count_nonzero(values <= _ROUNDED_ZERO))
 
 
 class IsotropicWeights(NamedTuple):
@@ -132,6 +115,14 @@ def rotation_weights(information: Floats) -> Floats:
 def partial(information: Floats) -> Ids:
     """Return the indices of the matrices, (m, d, d), that have no information in some direction."""
     return indefinite(information)
+
+
+def _scaled(information: Floats) -> Floats:
+    """Return matrices of diagonal 1, or 0: neither units nor the largest double matter to them."""
+    diagonal = np.einsum("kii->ki", information)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    with np.errstate(over="ignore"):
+        return np.asarray(information / scale[:, :, None] / scale[:, None])
 
 
 def _trace_of_inverse(a: Floats) -> Floats:

@@ -10,8 +10,8 @@ from masat.arrays import Flags, Floats, Ids
 from masat.assembly import AssembledGraph
 from masat.chain import odometry_edges
 from masat.errors import OptimizationError
+from masat.freedoms import degrees_of_freedom
 from masat.graph import PoseGraph
-from masat.information import degrees_of_freedom
 from masat.neighbors import neighbor_scale
 from masat.quantiles import FAR_GATE, MEDIAN
 from masat.redundancy import whitened

@@ -70,7 +70,7 @@ def solve(
         "levenberg_marquardt" ("lm"), "gauss_newton" ("gn") or "dogleg".
     root : int, optional
         Id of the node that is placed at the identity and not optimized. Default: the smallest of
-        its component. Components with fixed nodes need none.
+        its component. Components with fixed nodes or priors have none.
     certify : bool
         Whether to prove that chi2 is the lowest of all poses (`masat.certify`): one more
         factorization in most cases. No further search is made where there is no proof.
@@ -115,7 +115,8 @@ def solve(
         If the initial guess, the optimizer or the loss is unknown or cannot do what is asked; or if
         a certificate is wanted of a robust cost, for which there is none.
     GraphError
-        If the root is not in the graph, or is not fixed in a component that has fixed nodes.
+        If the root is not in the graph, or is not fixed in a component that has fixed nodes or
+        priors.
 
     Examples
     --------

@@ -114,8 +114,15 @@ class Structure:
         """The order in which the free nodes are eliminated from the linear systems."""
         return eliminate(self.topology, self._in_gauge(), self.dof)
 
-    def with_roots(self, roots: ArrayLike) -> Structure:
+    def with_roots(self, roots: ArrayLike, components: Indices | None = None) -> Structure:
         """Return the structure with other gauge-fixed nodes, the connectivity shared.
+
+        Parameters
+        ----------
+        roots : array_like of int
+            Ids of the nodes, each in a component of its own.
+        components : ndarray of int32, (n,), optional
+            Component of each node where more than the edges connects nodes.
 
         Raises
         ------
@@ -124,8 +131,9 @@ class Structure:
             but its component has fixed nodes.
         """
         chosen = checks.distinct(checks.integers("roots", roots))
-        component = self.components[self.index(chosen)]
-        with_fixed = np.isin(component, self.components[self.index(self.fixed)])
+        labels = self.components if components is None else components
+        component = labels[self.index(chosen)]
+        with_fixed = np.isin(component, labels[self.index(self.fixed)])
         for root in chosen[with_fixed & ~np.isin(chosen, self.fixed)][:1]:
             raise GraphError(
                 f"the root {root} is not fixed but its component holds fixed nodes, which "
@@ -136,7 +144,7 @@ class Structure:
         for k in np.flatnonzero(np.diff(component[order]) == 0)[:1]:
             a, b = chosen[order[k : k + 2]]
             raise GraphError(f"the roots {a} and {b} are in one component: choose one of them")
-        others = ~np.isin(self.components[self.index(self.roots)], component)
+        others = ~np.isin(labels[self.index(self.roots)], component)
         out = Structure(
             self.ids,
             self.edges,
@@ -185,9 +193,9 @@ def joint_structure(poses: Structure, points: Ids, observations: Ids, priors: Id
         Ids of the nodes that priors tie to the world.
     """
     nodes = np.sort(np.concatenate([poses.ids, points]))
-    world = nodes[-1] + 1
     if nodes[-1] == np.iinfo(np.int64).max:
         raise GraphError(f"the id {nodes[-1]} is the largest there is: give the nodes smaller ids")
+    world = nodes[-1] + 1
     joint = Structure(
         np.append(nodes, world),
         np.concatenate([poses.edges, observations, np.stack([world + 0 * priors, priors], 1)]),

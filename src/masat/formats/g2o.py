@@ -13,8 +13,9 @@ from __future__ import annotations
 import numpy as np
 
 from masat import lie
-from masat._core import format_lines
+from masat._core import format_lines, rotation_matrices
 from masat.arrays import Flags, Floats, Ids
+from masat.construction import named_poses
 from masat.errors import GraphError
 from masat.formats.labels import label_texts
 from masat.formats.stamps import stamp_texts
@@ -77,8 +78,9 @@ def format_graph(graph: PoseGraph) -> bytes:
         vertices = format_lines(vertex, graph.ids[:, None], graph.poses, stamps, "stamp")
         fixed = graph.fixed
     else:
-        # A node with neither pose nor edge has no line that FIX could refer to.
-        vertices, fixed = b"", graph.fixed[np.isin(graph.fixed, graph.edges)]
+        # A node that nothing measures has no line that FIX could refer to.
+        named = named_poses(graph.edges, graph.priors, graph.landmarks)
+        vertices, fixed = b"", graph.fixed[np.isin(graph.fixed, named)]
     return (
         vertices
         + _points(graph)
@@ -95,8 +97,21 @@ def format_graph(graph: PoseGraph) -> bytes:
 
 def _points(graph: PoseGraph) -> bytes:
     if graph.points is None:
+        _refuse_unseen(graph)
         return b""
     return format_lines(_POINT_TAGS[graph.dimension][0], graph.point_ids[:, None], graph.points)
+
+
+def _refuse_unseen(graph: PoseGraph) -> None:
+    """Refuse landmarks without a position that no pose saw, for which there is no line."""
+    seen = graph.landmarks
+    if seen is None:
+        return
+    for point in np.setdiff1d(seen.ids, seen.observations[:, 1])[:1]:
+        raise GraphError(
+            f"the landmark {point} has no position and no pose saw it, so g2o has no line for it: "
+            "solve the graph first, or give positions (masat.landmarks), before it is written"
+        )
 
 
 def _measured(graph: PoseGraph) -> bytes:
@@ -147,6 +162,8 @@ def _prior_lines(priors: Priors, parameters: Ids, on_point: Flags) -> bytes:
         ids, z = priors.ids[run][:, None], priors.measurements[run]
         w = priors.information[run]
         if kind[run[0]] == 0:
+            w = _in_axes_of_world(z, w)
+        if kind[run[0]] == 0:
             tag = "EDGE_PRIOR_XY" if d == 2 else "EDGE_POINTXYZ_PRIOR"
         else:
             tag = ("EDGE_PRIOR_SE2_XY", "EDGE_PRIOR_SE2")[kind[run[0]] - 1]
@@ -156,6 +173,17 @@ def _prior_lines(priors: Priors, parameters: Ids, on_point: Flags) -> bytes:
             tag, ids = "EDGE_SE3_PRIOR", np.column_stack([ids[:, 0], parameters[run]])
         text += format_lines(tag, np.ascontiguousarray(ids), np.hstack([z, _upper(w)]))
     return text
+
+
+def _in_axes_of_world(measurements: Floats, information: Floats) -> Floats:
+    """Return information matrices of positions in the world's axes, not the measurements' own."""
+    d = 2 if measurements.shape[1] == 3 else 3
+    turned = (measurements[:, d:] != lie.identity(d)[d:]).any(axis=1)
+    turn = rotation_matrices(np.ascontiguousarray(measurements[turned]))
+    w = information.copy()
+    rotated = turn @ information[turned, :d, :d] @ turn.transpose(0, 2, 1)
+    w[turned, :d, :d] = 0.5 * (rotated + rotated.transpose(0, 2, 1))
+    return w
 
 
 def _upper(information: Floats) -> Floats:

@@ -18,20 +18,21 @@ from typing import TypeAlias
 
 import numpy as np
 
+from masat import _checks as checks
+from masat import lie
 from masat.arrays import Floats, Ids
-from masat.errors import FormatError
+from masat.errors import FormatError, GraphError
 from masat.formats.reading import read_without_warnings
-from masat.formats.text import load_text
+from masat.formats.text import integer_of, load_text, number_of
 from masat.graph import PoseGraph
 
 Links: TypeAlias = PoseGraph | tuple[Ids, Floats, Floats]
 
 _ENDS = 4
-_POSE, _DOF = {2: 3, 3: 7}, {2: 3, 3: 6}
 # How many numbers a line has, by dimension and whether it has information.
 _LENGTHS = {
-    _ENDS + _POSE[d] + with_information * _DOF[d] * (_DOF[d] + 1) // 2: (d, with_information)
-    for d in (2, 3)
+    _ENDS + size + with_information * lie.DOF[d] * (lie.DOF[d] + 1) // 2: (d, with_information)
+    for d, size in lie.POSE_SIZE.items()
     for with_information in (False, True)
 }
 
@@ -61,18 +62,18 @@ def read_links(path: str | os.PathLike[str]) -> Links:
     """
     path = Path(path)
     lines = [
-        (number, words)
+        (number, [word.decode("utf-8", "replace") for word in words])
         for number, line in enumerate(load_text(path).split(b"\n"), 1)
         if (words := line.split(b"#")[0].split())
     ]
     if not lines:
         raise FormatError("the file holds no links", path)
-    if not _is_integer(lines[0][1][0]):
+    if integer_of(lines[0][1][0]) is None:
         return read_without_warnings(path)
     return _table(lines, path)
 
 
-def _table(lines: Sequence[tuple[int, list[bytes]]], path: Path) -> Links:
+def _table(lines: Sequence[tuple[int, list[str]]], path: Path) -> Links:
     length = len(lines[0][1])
     if length not in _LENGTHS:
         raise FormatError(
@@ -90,32 +91,34 @@ def _table(lines: Sequence[tuple[int, list[bytes]]], path: Path) -> Links:
                 path,
                 number,
             )
-        for word in words[:_ENDS]:
-            if not _is_integer(word):
+        for column, word in enumerate(words[:_ENDS]):
+            if (integer := integer_of(word)) is None:
                 raise FormatError(
-                    f"{word.decode('utf-8', 'replace')!r:.40} is no session or id, which are "
-                    "integers of at most 64 bits",
+                    f"{word!r:.40} is no session or id, which are integers of at most 64 bits",
                     path,
                     number,
                 )
-        ends[k] = [int(word) for word in words[:_ENDS]]
-        try:
-            values[k] = [float(word) for word in words[_ENDS:]]
-        except ValueError:
-            raise FormatError(
-                "expected numbers after session, id, session, id", path, number
-            ) from None
+            ends[k, column] = integer
+        for column, word in enumerate(words[_ENDS:]):
+            if (value := number_of(word)) is None:
+                raise FormatError(
+                    f"{word!r:.40} is no finite number; expected numbers after session, id, "
+                    "session, id",
+                    path,
+                    number,
+                )
+            values[k, column] = value
     dimension, with_information = _LENGTHS[length]
-    size, dof = _POSE[dimension], _DOF[dimension]
+    size, dof = lie.POSE_SIZE[dimension], lie.DOF[dimension]
     information = np.tile(np.eye(dof), (len(lines), 1, 1))
     if with_information:
-        row, column = np.triu_indices(dof)
-        information[:, row, column] = information[:, column, row] = values[:, size:]
-    return ends, np.ascontiguousarray(values[:, :size]), information
-
-
-def _is_integer(word: bytes) -> bool:
+        i, j = np.triu_indices(dof)
+        information[:, i, j] = information[:, j, i] = values[:, size:]
+    measurements = np.ascontiguousarray(values[:, :size])
+    pairs = ends[:, [1, 3]]
     try:
-        return -(2**63) <= int(word) < 2**63
-    except ValueError:
-        return False
+        measurements = checks.rotations(measurements, "measurement", pairs, "edge")
+        information = checks.information_matrices(information, pairs, dof)
+    except GraphError as error:
+        raise FormatError(str(error), path, lines[error.edge or 0][0]) from None
+    return ends, measurements, information

@@ -6,10 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from masat import _checks as checks
 from masat import _core, lie
 from masat.arrays import Floats, Ids
 from masat.errors import FormatError, GraphError
+from masat.graph import PoseGraph
 from masat.measurements import Landmarks, Priors, landmarks, pose_priors
+from masat.residuals import as_poses
 
 _NO_PARAMETER = -1
 
@@ -24,13 +27,42 @@ def read_measurements(
     FormatError
         If they are not valid, naming the line.
     """
-    return _priors(parsed, path), _landmarks(parsed, path)
+    sensors = _sensors(parsed, path)
+    return _priors(parsed, sensors, path), _landmarks(parsed, sensors, path)
 
 
-def _priors(parsed: _core.ParsedGraph, path: Path) -> Priors | None:
+def with_measurements(
+    graph: PoseGraph,
+    parsed: _core.ParsedGraph,
+    priors: Priors | None,
+    landmarks: Landmarks | None,
+    path: Path,
+) -> PoseGraph:
+    """Return the graph of a file with its priors and landmarks.
+
+    Raises
+    ------
+    FormatError
+        If they do not fit the graph, naming the line.
+    """
+    try:
+        graph = graph.with_landmarks(landmarks)
+    except GraphError as error:
+        line = _line(parsed["observation_lines"], error.edge)
+        if landmarks is not None and error.node is not None:
+            line = _first_line(parsed, int(landmarks.ids[error.node]))
+        raise FormatError(str(error), path, line) from None
+    try:
+        return graph.with_priors(priors)
+    except GraphError as error:
+        raise FormatError(str(error), path, _line(parsed["prior_lines"], error.node)) from None
+
+
+def _priors(parsed: _core.ParsedGraph, sensors: Floats, path: Path) -> Priors | None:
     if len(parsed["prior_ids"]) == 0:
         return None
-    offsets = _offsets(parsed, parsed["prior_parameters"], parsed["prior_lines"], path)
+    wanted = parsed["prior_parameters"]
+    offsets = _offsets(parsed["parameter_ids"], sensors, wanted, parsed["prior_lines"], path)
     try:
         return pose_priors(
             parsed["prior_ids"], parsed["priors"], parsed["prior_information"], offset=offsets
@@ -40,18 +72,17 @@ def _priors(parsed: _core.ParsedGraph, path: Path) -> Priors | None:
         raise FormatError(str(error), path, _line(parsed["prior_lines"], row)) from None
 
 
-def _landmarks(parsed: _core.ParsedGraph, path: Path) -> Landmarks | None:
+def _landmarks(parsed: _core.ParsedGraph, sensors: Floats, path: Path) -> Landmarks | None:
     ids, pairs = parsed["point_ids"], parsed["observation_ids"]
     if len(ids) == 0 and len(pairs) == 0:
         return None
     z, w = parsed["observations"], parsed["observation_information"]
     lines = parsed["observation_lines"]
-    offsets = _offsets(parsed, parsed["observation_parameters"], lines, path)
+    wanted = parsed["observation_parameters"]
+    offsets = _offsets(parsed["parameter_ids"], sensors, wanted, lines, path)
     if offsets is not None:
         d = z.shape[1]
-        seen = np.tile(lie.identity(d), (len(z), 1))
-        seen[:, :d] = z
-        z = lie.compose(offsets, seen)[:, :d]
+        z = lie.compose(offsets, as_poses(z))[:, :d]
         turn = _core.rotation_matrices(offsets)
         w = turn @ w @ turn.transpose(0, 2, 1)
         w = 0.5 * (w + w.transpose(0, 2, 1))
@@ -70,9 +101,18 @@ def _landmarks(parsed: _core.ParsedGraph, path: Path) -> Landmarks | None:
         raise FormatError(str(error), path, _line(lines, error.edge)) from None
 
 
-def _offsets(parsed: _core.ParsedGraph, wanted: Ids, lines: Ids, path: Path) -> Floats | None:
+def _sensors(parsed: _core.ParsedGraph, path: Path) -> Floats:
+    """Return the poses of sensors that the parameters of the file tell, checked."""
+    try:
+        return checks.rotations(
+            parsed["parameters"], "offset", parsed["parameter_ids"], "parameter"
+        )
+    except GraphError as error:
+        raise FormatError(str(error), path, _line(parsed["parameter_lines"], error.node)) from None
+
+
+def _offsets(known: Ids, poses: Floats, wanted: Ids, lines: Ids, path: Path) -> Floats | None:
     """Return the pose of the sensor of each line, or None if all are the identity."""
-    known, poses = parsed["parameter_ids"], parsed["parameters"]
     out = np.tile(lie.identity(2 if poses.shape[1] == 3 else 3), (len(wanted), 1))
     asked = np.flatnonzero(wanted != _NO_PARAMETER)
     order = np.argsort(known, kind="stable")
@@ -87,6 +127,13 @@ def _offsets(parsed: _core.ParsedGraph, wanted: Ids, lines: Ids, path: Path) -> 
         )
     out[asked] = poses[order][at]
     return None if (out == lie.identity(2 if poses.shape[1] == 3 else 3)).all() else out
+
+
+def _first_line(parsed: _core.ParsedGraph, point: int) -> int:
+    """Return the line where a landmark first occurs: its vertex, or else an observation."""
+    lines = parsed["point_lines"][parsed["point_ids"] == point]
+    seen = parsed["observation_lines"][parsed["observation_ids"][:, 1] == point]
+    return int([*lines, *seen][0])
 
 
 def _line(lines: Ids, row: int | None) -> int | None:

@@ -14,9 +14,10 @@ import numpy as np
 
 from masat import _core
 from masat.arrays import Floats, Stamps
+from masat.construction import named_poses
 from masat.errors import FormatError, GraphError, InformationError, MasatWarning
 from masat.formats.labels import read_labels
-from masat.formats.measured import read_measurements
+from masat.formats.measured import read_measurements, with_measurements
 from masat.formats.registry import FORMATS, printable, recognize
 from masat.formats.stamps import read_seconds, read_stamps
 from masat.formats.table import Format
@@ -160,15 +161,16 @@ def _graph(
     priors, landmarks = read_measurements(parsed, path)
     if not with_vertices and len(edges) == 0 and priors is None and landmarks is None:
         raise FormatError("the file holds neither a vertex nor an edge", path)
-    for k in np.flatnonzero(np.isin(parsed["fixed_ids"], parsed["point_ids"]))[:1]:
+    points = np.empty(0, np.int64) if landmarks is None else landmarks.ids
+    for k in np.flatnonzero(np.isin(parsed["fixed_ids"], points))[:1]:
         raise FormatError(
             f"FIX names the landmark {parsed['fixed_ids'][k]}: only poses can be fixed; give it a "
             "prior of much information instead (EDGE_PRIOR_XY, EDGE_POINTXYZ_PRIOR)",
             path,
             int(parsed["fixed_lines"][k]),
         )
-    known = np.isin(parsed["fixed_ids"], ids if with_vertices else edges)
-    for k in np.flatnonzero(~known)[:1] if len(known) else ():
+    nodes = ids if with_vertices else named_poses(edges, priors, landmarks)
+    for k in np.flatnonzero(~np.isin(parsed["fixed_ids"], nodes))[:1]:
         raise FormatError(
             f"FIX names vertex {parsed['fixed_ids'][k]}, which is not in the file",
             path,
@@ -189,19 +191,17 @@ def _graph(
             edges,
             parsed["measurements"],
             matrices,
-            ids=ids if with_vertices else None,
+            ids=nodes,
             poses=parsed["vertex_poses"] if with_vertices else None,
             fixed=parsed["fixed_ids"],
             notes=notes,
             stamps=stamps,
-            priors=priors,
-            landmarks=landmarks,
             **optional,
         )
 
     try:
         try:
-            return build(information)
+            graph = build(information)
         except InformationError as error:
             if indefinite == "error":
                 raise InformationError(
@@ -217,9 +217,10 @@ def _graph(
                 how = "every edge has the identity instead"
                 repaired = np.broadcast_to(np.eye(information.shape[1]), information.shape)
             notes.append(f"{error.count} information matrices are not positive semidefinite: {how}")
-            return build(repaired)
+            graph = build(repaired)
     except GraphError as error:
         raise FormatError(str(error), path, _line(parsed, error)) from None
+    return with_measurements(graph, parsed, priors, landmarks, path)
 
 
 def _stamps(table: Format, parsed: _core.ParsedGraph) -> Stamps | None:

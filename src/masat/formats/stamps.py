@@ -6,17 +6,14 @@ nanoseconds. Seconds have a decimal point or an exponent, so that both read back
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Sequence
 
 import numpy as np
 
 from masat.arrays import Floats, Ids, Stamps
 from masat.errors import GraphError
+from masat.formats.text import integer_of, is_integer, number_of
 
-_INTEGER = re.compile(r"[+-]?[0-9]+")
-_DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _NANOSECONDS = 10**9
 
 
@@ -46,7 +43,8 @@ def read_stamps(texts: Sequence[bytes], ids: Ids) -> Stamps:
         the index of the first invalid text.
     """
     words = [text.decode("utf-8", "replace") for text in texts]
-    integers = next((bool(_INTEGER.fullmatch(word)) for word in words if word), False)
+    integers = next((is_integer(word) for word in words if word), False)
+    times = [integer_of(word) if is_integer(word) else number_of(word) for word in words]
     for k, word in enumerate(words):
         if word == "":
             raise GraphError(
@@ -54,22 +52,20 @@ def read_stamps(texts: Sequence[bytes], ids: Ids) -> Stamps:
                 "such as '# stamp: 12.5', or none",
                 node=k,
             )
-        if not _is_time(word):
+        if times[k] is None:
             raise GraphError(
                 f"the stamp {word!r:.40} of vertex {ids[k]} is no time: it must be seconds, such "
                 "as 12.5, or an integer of at most 64 bits, in nanoseconds",
                 node=k,
             )
-        if bool(_INTEGER.fullmatch(word)) != integers:
+        if is_integer(word) != integers:
             raise GraphError(
                 f"the stamp {word!r:.40} of vertex {ids[k]} is in "
                 f"{'seconds' if integers else 'nanoseconds (an integer)'}, but those before are in "
                 f"{'nanoseconds (integers)' if integers else 'seconds'}",
                 node=k,
             )
-    if integers:
-        return np.array([int(word) for word in words], np.int64)
-    return np.array([float(word) for word in words])
+    return np.array(times, np.int64) if integers else np.array(times, np.float64)
 
 
 def read_seconds(texts: Sequence[bytes]) -> Floats:
@@ -90,9 +86,3 @@ def read_seconds(texts: Sequence[bytes]) -> Floats:
             node=k,
         )
     return stamps
-
-
-def _is_time(word: str) -> bool:
-    if _INTEGER.fullmatch(word):
-        return -(2**63) <= int(word) < 2**63
-    return _DECIMAL.fullmatch(word) is not None and math.isfinite(float(word))

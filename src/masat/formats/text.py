@@ -1,11 +1,13 @@
-"""The text of a file, decompressed if it is a gzip file, within a limit of size."""
+"""The text of a file, decompressed if it is a gzip file, within a limit of size; its numbers."""
 
 from __future__ import annotations
 
 import errno
 import gzip
 import io
+import math
 import os
+import re
 import stat
 import zlib
 from pathlib import Path
@@ -15,6 +17,9 @@ from masat.errors import FormatError
 MAX_BYTES = 2**31
 """Default limit of a text's size: 25 million edges in 2D, 8 million in 3D."""
 
+# What the core reads as a number, too: no underscores, no nan, no inf.
+_INTEGER = re.compile(r"[+-]?[0-9]+")
+_DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _GZIP = b"\x1f\x8b"
 _CHUNK = 2**20
 
@@ -63,6 +68,29 @@ def load_text(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
         except (EOFError, OSError, zlib.error) as error:
             raise FormatError(f"a damaged gzip file: {error}", path) from None
         return text.getvalue()
+
+
+def is_integer(word: str) -> bool:
+    """Tell whether a word is an integer of any size."""
+    return _INTEGER.fullmatch(word) is not None
+
+
+def integer_of(word: str) -> int | None:
+    """Return the integer of at most 64 bits that a word is, or None."""
+    digits = word.lstrip("+-0") or "0"
+    # Python refuses to convert thousands of digits.
+    if not is_integer(word) or len(digits) > len(str(2**63)):
+        return None
+    value = -int(digits) if word.startswith("-") else int(digits)
+    return value if -(2**63) <= value < 2**63 else None
+
+
+def number_of(word: str) -> float | None:
+    """Return the finite number that a word is, or None."""
+    if not _DECIMAL.fullmatch(word):
+        return None
+    value = float(word)
+    return value if math.isfinite(value) else None
 
 
 def _check_regular(path: Path) -> None:

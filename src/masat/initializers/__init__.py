@@ -85,7 +85,8 @@ def initialize(
         One of `masat.initializers.INITIALIZERS`.
     root : int, optional
         Id of the node placed at the identity, which optimizers then leave there. Default: the
-        smallest of its component. A component with fixed nodes begins at these.
+        smallest of its component. A component with fixed nodes begins at these, one with priors is
+        moved onto them: neither has a root.
     seed : int
         Seed of the random noise that "auto" and "lifted" add when they raise a rank.
     progress : Progress, optional
@@ -102,7 +103,8 @@ def initialize(
     InitializationError
         If the method is unknown or cannot do what is asked.
     GraphError
-        If the root is not in the graph, or is not fixed in a component that has fixed nodes.
+        If the root is not in the graph, or is not fixed in a component that has fixed nodes or
+        priors.
     """
     rooted = graph if root is None else graph.with_root(root)
     guess = guess_of(rooted, method, seed=seed, progress=progress)

@@ -8,17 +8,22 @@ relative to bodies that are placed already; landmarks follow from their observat
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
 from masat import _core, lie
-from masat.alignment import Matches, moved, rigid_motion
-from masat.arrays import Flags, Floats, Ids, Indices
+from masat.alignment import Matches, rigid_motion
+from masat.arrays import Flags, Floats, Ids
 from masat.assembly import Assembly
-from masat.determinacy import body_of_each_node, with_undetermined_kept
+from masat.determinacy import with_undetermined_kept
 from masat.errors import InitializationError
+from masat.freedoms import body_of_each_node
 from masat.graph import PoseGraph
+from masat.groups import Groups
 from masat.information import isotropic_weights
+from masat.initializers.roots import notes_of_components
+from masat.initializers.waiting import WaitingBodies
 from masat.optimizers.equations import normal_equations
 from masat.optimizers.translations import solve_translations
 
@@ -41,10 +46,11 @@ def placed_assembly(
     if guess.poses is None:
         raise InitializationError("the initial guess left the graph without poses")
     # How the parts of the full edges lie to each other is found here.
-    notes = [n for n in guess.notes if n not in source.notes and "each placed in a frame" not in n]
+    told = [*source.notes, *notes_of_components(assembly.graph.relative)]
+    notes = [note for note in guess.notes if note not in told]
     placing = _Placing(assembly, guess.poses)
     placing.run()
-    notes += _note_of_components(source)
+    notes += notes_of_components(source)
     complete, more = with_undetermined_kept(assembly.at(placing.poses))
     if placing.moved_as_one:
         # The first step of an optimizer improves the translations as much.
@@ -67,7 +73,10 @@ def given_assembly(assembly: Assembly) -> tuple[Assembly, list[str]]:
 
 
 class _Placing:
-    """The poses of all nodes, and which of them are placed in the frame of the world."""
+    """The poses of all nodes, and which of them are placed in the frame of the world.
+
+    An edge between two bodies is looked at when its first end is placed, and never again.
+    """
 
     def __init__(
         self, assembly: Assembly, poses: Floats, *, everything_placed: bool = False
@@ -76,20 +85,26 @@ class _Placing:
         self._d = graph.dimension
         self.poses = assembly.placed(poses, assembly.source.points)
         self._bodies = body_of_each_node(assembly)
+        count = int(self._bodies.max()) + 1
+        self._nodes_of = Groups(self._bodies, count)
         self._is_point = assembly.is_point
         self._placed = np.zeros(len(graph.ids), np.bool_)
         self._placed[graph.index(graph.fixed)] = True
         if everything_placed:
             self._placed[assembly.poses_at] = True
-        self._spread()
+        # All poses of a body are placed if one is.
+        own = self._nodes_of.of_all(np.unique(self._bodies[self._placed]))
+        self._placed[own[~self._is_point[own]]] = True
         ends = self._bodies[graph.edge_indices[: assembly.measured]]
         rows = np.flatnonzero(ends[:, 0] != ends[:, 1])
         weights = isotropic_weights(graph.information[rows])
         self._i, self._j = graph.edge_indices[rows].T
+        self._rows_of = Groups(np.concatenate([self._i, self._j]), len(graph.ids))
         self._z = graph.measurements[rows]
         self._offsets = None if graph.sensor_offsets is None else graph.sensor_offsets[rows]
         self._rotation = weights.rotation
         self._translation = _position_weights(graph.information[rows], weights.translation)
+        self._waiting = WaitingBodies(count, self._d)
 
     @property
     def moved_as_one(self) -> bool:
@@ -99,91 +114,79 @@ class _Placing:
 
     def run(self) -> None:
         """Place one body after the other, those with the most matches first."""
-        self._locate()
-        waiting = ~self._placed & ~self._is_point
-        while waiting.any():
-            found = self._matches_by_body()
-            if not found:
-                # Nothing ties the rest to what is placed: its largest body stays where it is.
-                sizes = np.bincount(self._bodies[waiting])
-                self._placed |= self._bodies == int(np.argmax(sizes))
+        self._visit(np.flatnonzero(self._placed))
+        sizes = np.bincount(self._bodies[~self._placed & ~self._is_point])
+        largest = iter(np.argsort(-sizes, kind="stable"))
+        left = np.count_nonzero(sizes)
+        while left:
+            bodies = self._waiting.take()
+            if bodies:
+                self._move(bodies)
             else:
-                enough = [b for b, m in found.items() if len(m.positions) >= self._d]
-                for body in enough or [max(found, key=lambda b: _strength(found[b]))]:
-                    own = (self._bodies == body) & ~self._is_point
-                    self.poses = moved(self.poses, rigid_motion(found[body]), own)
-                    self._placed |= own
-            self._locate()
-            waiting = ~self._placed & ~self._is_point
+                # Nothing ties the rest to what is placed: its largest body stays where it is.
+                bodies = [next(b for b in largest if not self._placed[self._nodes_of.of(b)[0]])]
+            left -= len(bodies)
+            nodes = self._nodes_of.of_all(np.array(bodies))
+            self._placed[nodes] = True
+            self._visit(nodes)
         self._guess_points()
 
-    def _spread(self) -> None:
-        """Count all poses of a body as placed if one is."""
-        own = np.unique(self._bodies[self._placed])
-        self._placed |= np.isin(self._bodies, own) & ~self._is_point
+    def _visit(self, nodes: Ids) -> None:
+        """Follow the edges from nodes just placed: locate landmarks, and match the other bodies."""
+        while len(nodes):
+            rows = np.sort(self._rows_of.of_all(nodes) % max(len(self._i), 1))
+            # Both ends of an edge may just have been placed.
+            rows = rows[self._placed[self._i[rows]] != self._placed[self._j[rows]]]
+            i, j = self._i[rows], self._j[rows]
+            w_t, w_r, ahead = self._translation[rows], self._rotation[rows], self._placed[i]
+            to_point = ahead & self._is_point[j]
+            matching = ~to_point & ((w_t > 0) | (w_r > 0))
+            body = self._bodies[np.where(ahead, j, i)]
+            self._waiting.add(body[matching], rows[matching], w_t[matching], w_r[matching])
+            nodes = self._locate(rows[to_point & (w_t > 0)], self._translation)
 
-    def _matches_by_body(self) -> dict[int, Matches]:
-        """Return what ties the bodies that wait to what is placed."""
+    def _move(self, bodies: list[int]) -> None:
+        """Move bodies onto what edges from placed nodes say of them."""
         d = self._d
-        i, j, z = self._i, self._j, self._z
-        # The end that waits, and the other one, which is placed.
-        ahead = self._placed[i] & ~self._placed[j] & ~self._is_point[j]
-        behind = self._placed[j] & ~self._placed[i] & ~self._is_point[i]
-        seen_from = lie.compose(self.poses[i], z)
-        own_j = self._with_offsets(self.poses[j])
-        body = np.concatenate([self._bodies[j[ahead]], self._bodies[i[behind]]])
-        own = np.concatenate([own_j[ahead], seen_from[behind]])
-        target = np.concatenate([seen_from[ahead], own_j[behind]])
-        w_t = np.concatenate([self._translation[ahead], self._translation[behind]])
-        w_r = np.concatenate([self._rotation[ahead], self._rotation[behind]])
-        # What is measured of a rotation is that of the node, not that of the measurement.
-        out = {}
-        for b in np.unique(body[(w_t > 0) | (w_r > 0)]):
-            p, r = (body == b) & (w_t > 0), (body == b) & (w_r > 0)
-            out[int(b)] = Matches(
-                own[p, :d],
-                target[p, :d],
-                w_t[p],
-                _rotations(own[r]),
-                _rotations(target[r]),
-                w_r[r],
+        rows_of_each = [self._waiting.rows[body] for body in bodies]
+        body = np.repeat(np.arange(len(bodies)), [len(rows) for rows in rows_of_each])
+        rows = np.concatenate(rows_of_each)
+        behind = self._placed[self._j[rows]]
+        order = np.lexsort((rows, behind, body))
+        rows, behind = rows[order], behind[order][:, None]
+        seen_from = lie.compose(self.poses[self._i[rows]], self._z[rows])
+        sensor = self.poses[self._j[rows]]
+        if self._offsets is not None:
+            sensor = lie.compose(sensor, self._offsets[rows])
+        own, target = np.where(behind, seen_from, sensor), np.where(behind, sensor, seen_from)
+        turn, target_turn = _rotations(own), _rotations(target)
+        w_t, w_r = self._translation[rows], self._rotation[rows]
+        begins = np.searchsorted(body, np.arange(len(bodies) + 1))
+        for k, (first, end) in enumerate(pairwise(begins)):
+            p = first + np.flatnonzero(w_t[first:end] > 0)
+            r = first + np.flatnonzero(w_r[first:end] > 0)
+            motion = rigid_motion(
+                Matches(own[p, :d], target[p, :d], w_t[p], turn[r], target_turn[r], w_r[r])
             )
-        return out
-
-    def _with_offsets(self, poses: Floats) -> Floats:
-        if self._offsets is None:
-            return poses
-        return lie.compose(poses, self._offsets)
-
-    def _locate(self) -> None:
-        """Place the landmarks that placed nodes saw: the weighted mean of what they say."""
-        seen = self._placed[self._i] & self._is_point[self._j] & ~self._placed[self._j]
-        seen &= self._translation > 0
-        self._average(np.flatnonzero(seen), self._translation)
+            nodes = self._nodes_of.of(bodies[k])
+            self.poses[nodes] = lie.compose(motion, self.poses[nodes])
 
     def _guess_points(self) -> None:
         """Place what landmarks are left where their partial observations say."""
         left = self._is_point[self._j] & ~self._placed[self._j]
-        self._average(np.flatnonzero(left), np.ones(len(self._j)))
+        self._locate(np.flatnonzero(left), np.ones(len(self._j)))
 
-    def _average(self, rows: Ids, weights: Floats) -> None:
+    def _locate(self, rows: Ids, weights: Floats) -> Ids:
+        """Place landmarks at the weighted mean of what edges say of them, and return them."""
         if len(rows) == 0:
-            return
+            return rows
         where = lie.compose(self.poses[self._i[rows]], self._z[rows])[:, : self._d]
-        points, n, w = self._j[rows], len(self.poses), weights[rows]
-        total = np.bincount(points, w, n)
-        reached = total > 0
+        points, own = np.unique(self._j[rows], return_inverse=True)
+        total = np.bincount(own, weights[rows])
         for k in range(self._d):
-            summed = np.bincount(points, w * where[:, k], n)
-            self.poses[reached, k] = summed[reached] / total[reached]
-        self._placed |= reached
-
-
-def _strength(matches: Matches) -> tuple[int, float]:
-    return (
-        len(matches.positions) + len(matches.rotations),
-        float(matches.position_weights.sum() + matches.rotation_weights.sum()),
-    )
+            self.poses[points, k] = np.bincount(own, weights[rows] * where[:, k]) / total
+        self._placed[points] = True
+        return points
 
 
 def _rotations(poses: Floats) -> Floats:
@@ -198,17 +201,6 @@ def _position_weights(information: Floats, isotropic: Floats) -> Floats:
     out = isotropic.copy()
     out[open_] = np.linalg.eigvalsh(information[open_, :3, :3])[:, 1].clip(min=0)
     return out
-
-
-def _note_of_components(graph: PoseGraph) -> list[str]:
-    labels: Indices = graph.components
-    count = int(labels.max()) + 1
-    if count == 1:
-        return []
-    return [
-        f"the graph has {count} components, each placed in a frame of its own: nothing measures "
-        "how they lie to each other"
-    ]
 
 
 def _with_better_translations(assembly: Assembly) -> Assembly:

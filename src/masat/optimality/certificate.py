@@ -7,8 +7,9 @@ from typing import Any, Literal, TypeAlias
 
 from masat import _core
 from masat.assembly import AssembledGraph, assemble, needs_assembly, translated
-from masat.determinacy import undetermined, with_undetermined_kept
+from masat.determinacy import with_undetermined_kept
 from masat.errors import InitializationError, OptimizationError
+from masat.freedoms import undetermined
 from masat.graph import PoseGraph
 from masat.optimality.bounds import TIGHT, chi2_bound, lifted_bound
 from masat.optimality.search import lower_minimum

@@ -17,8 +17,8 @@ from masat import measurements
 from masat.arrays import AnyArray, Flags, Floats, Ids, locked
 from masat.errors import FormatError, MasatError
 from masat.files import write_atomically
+from masat.freedoms import degrees_of_freedom
 from masat.graph import PoseGraph
-from masat.information import degrees_of_freedom
 from masat.optimizers.termination import Iteration, StopReason
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ class Result:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Measured numbers less unknown ones."""
+        """Measured numbers less unknown ones that they determine."""
         return degrees_of_freedom(self.graph)
 
     @property
@@ -143,7 +143,8 @@ class Result:
 
         None where nothing is measured twice.
         """
-        return self.chi2 / self.degrees_of_freedom if self.degrees_of_freedom > 0 else None
+        degrees_of_freedom = self.degrees_of_freedom
+        return self.chi2 / degrees_of_freedom if degrees_of_freedom > 0 else None
 
     def __repr__(self) -> str:
         return (

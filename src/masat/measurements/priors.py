@@ -1,26 +1,22 @@
-"""What a graph holds besides its edges: priors on nodes, and landmarks with their observations."""
+"""Priors: measurements of nodes in the world's frame."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from masat import _checks as checks
-from masat.arrays import AnyArray, Flags, Floats, Ids, locked
+from masat import lie
+from masat.arrays import Flags, Floats, Ids, LockedArrays
 from masat.errors import GraphError
-
-if TYPE_CHECKING:
-    from masat.graph import PoseGraph
-
-_DOF = {3: 3, 7: 6}
+from masat.residuals import as_poses
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Priors:
+class Priors(LockedArrays):
     """Measurements of nodes in the world's frame, one a row.
 
     The residual of a prior is the step from what was measured to the pose, as of an edge from the
@@ -45,14 +41,6 @@ class Priors:
     measurements: Floats
     information: Floats
     offsets: Floats | None = None
-
-    def __post_init__(self) -> None:
-        self.__dict__.update(
-            ids=locked(self.ids),
-            measurements=locked(self.measurements),
-            information=locked(self.information),
-            offsets=None if self.offsets is None else locked(self.offsets),
-        )
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -94,70 +82,6 @@ class Priors:
         return replace(self, ids=ids)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Landmarks:
-    """Points, and what poses saw of them.
-
-    Attributes
-    ----------
-    ids : ndarray of int64, (k,)
-        Ids of the points, ascending; no pose has one of them.
-    positions : ndarray, (k, 2) or (k, 3), or None
-        Where they are, in meters. None until they are given or solved for.
-    observations : ndarray of int64, (l, 2)
-        Ids (pose, point) of each observation.
-    measurements : ndarray, (l, 2) or (l, 3)
-        The point in the frame of the pose, as measured.
-    information : ndarray, (l, 2, 2) or (l, 3, 3)
-        Inverse covariance of each, symmetric positive semidefinite, in the frame of the pose.
-    """
-
-    ids: Ids
-    positions: Floats | None
-    observations: Ids
-    measurements: Floats
-    information: Floats
-
-    def __post_init__(self) -> None:
-        self.__dict__.update(
-            ids=locked(self.ids),
-            positions=None if self.positions is None else locked(self.positions),
-            observations=locked(self.observations),
-            measurements=locked(self.measurements),
-            information=locked(self.information),
-        )
-
-    def __len__(self) -> int:
-        return len(self.ids)
-
-    def __repr__(self) -> str:
-        return f"Landmarks({len(self)} in {self.dimension}D, {len(self.observations)} observations)"
-
-    @property
-    def dimension(self) -> int:
-        """2 or 3."""
-        return int(self.measurements.shape[1])
-
-    def with_positions(self, positions: ArrayLike) -> Landmarks:
-        """Return the landmarks at other positions, (k, 2) or (k, 3) in the order of `ids`."""
-        given = checks.table("positions of landmarks", positions)
-        if given.shape != (len(self.ids), self.dimension):
-            raise GraphError(
-                f"positions of landmarks must have shape ({len(self.ids)}, {self.dimension}), got "
-                f"{given.shape}"
-            )
-        return replace(self, positions=checks.finite(given, "position of landmark", self.ids))
-
-    def observed(self, which: Flags | Ids) -> Landmarks:
-        """Return all the points with some of the observations, given by a mask or by indices."""
-        return replace(
-            self,
-            observations=self.observations[which],
-            measurements=self.measurements[which],
-            information=self.information[which],
-        )
-
-
 def pose_priors(
     ids: ArrayLike,
     poses: ArrayLike,
@@ -189,17 +113,20 @@ def pose_priors(
     InformationError
         If information is not symmetric positive semidefinite, or is zero.
     """
-    nodes = _nodes(ids)
+    nodes = checks.node_ids(ids)
     z = checks.table("poses of priors", poses)
     if z.ndim == 2 and z.shape[1] == 0:
         z = z.reshape(0, 3)
-    if z.shape[1] not in _DOF or len(z) != len(nodes):
+    if z.shape[1] not in lie.POSE_SIZE.values() or len(z) != len(nodes):
         raise GraphError(
             f"poses of priors must have shape ({len(nodes)}, 3) or ({len(nodes)}, 7), got {z.shape}"
         )
     z = checks.rotations(z, "prior", nodes, "node")
     matrices = checks.semidefinite_matrices(
-        information, len(nodes), _DOF[z.shape[1]], lambda k: f"the prior of node {nodes[k]}"
+        information,
+        len(nodes),
+        lie.DOF[2 if z.shape[1] == 3 else 3],
+        lambda k: f"the prior of node {nodes[k]}",
     )
     return Priors(nodes, z, matrices, _offset(offset, nodes, z.shape[1]))
 
@@ -241,7 +168,7 @@ def gps(
     >>> masat.gps([0, 20], [(0, 0), (18.5, 3.1)], sigma=2.0)
     Priors(2 in 2D)
     """
-    nodes = _nodes(ids)
+    nodes = checks.node_ids(ids)
     where = checks.table("positions", positions)
     where = where.reshape(0, 2) if where.shape[1] == 0 else where
     if where.shape not in ((len(nodes), 2), (len(nodes), 3)):
@@ -249,16 +176,13 @@ def gps(
             f"positions must have shape ({len(nodes)}, 2) or ({len(nodes)}, 3), got {where.shape}"
         )
     p, d = where.shape
-    poses = _identities(p, d)
-    poses[:, :d] = where
     arms = None
     if lever_arm is not None:
         arm = checks.numbers("lever_arm", lever_arm)
         if arm.shape not in ((d,), (p, d)):
             raise GraphError(f"lever_arm must have shape ({d},) or ({p}, {d}), got {arm.shape}")
-        arms = _identities(p, d)
-        arms[:, :d] = arm
-    return pose_priors(nodes, poses, _diagonal(sigma, p, d, range(d), nodes), offset=arms)
+        arms = as_poses(np.broadcast_to(arm, (p, d)))
+    return pose_priors(nodes, as_poses(where), _diagonal(sigma, p, d, range(d), nodes), offset=arms)
 
 
 def headings(ids: ArrayLike, angles: ArrayLike, sigma: ArrayLike) -> Priors:
@@ -277,7 +201,7 @@ def headings(ids: ArrayLike, angles: ArrayLike, sigma: ArrayLike) -> Priors:
     -------
     Priors
     """
-    nodes = _nodes(ids)
+    nodes = checks.node_ids(ids)
     poses = np.zeros((len(nodes), 3))
     poses[:, 2] = _row("angles", angles, len(nodes))
     return pose_priors(nodes, poses, _diagonal(_column(sigma), len(nodes), 2, [2], nodes))
@@ -299,78 +223,10 @@ def altitudes(ids: ArrayLike, heights: ArrayLike, sigma: ArrayLike) -> Priors:
     -------
     Priors
     """
-    nodes = _nodes(ids)
-    poses = _identities(len(nodes), 3)
-    poses[:, 2] = _row("heights", heights, len(nodes))
-    return pose_priors(nodes, poses, _diagonal(_column(sigma), len(nodes), 3, [2], nodes))
-
-
-def landmarks(
-    observations: ArrayLike,
-    measurements: ArrayLike,
-    information: ArrayLike | None = None,
-    *,
-    ids: ArrayLike | None = None,
-    positions: ArrayLike | None = None,
-) -> Landmarks:
-    """Return landmarks from what poses saw of them.
-
-    Parameters
-    ----------
-    observations : array_like of int, (l, 2)
-        Ids (pose, point). Points and poses share no id.
-    measurements : array_like, (l, 2) or (l, 3)
-        The point in the frame of the pose, in meters.
-    information : array_like, (l, d, d) or (d, d), optional
-        Inverse covariances, symmetric positive semidefinite. Default: the identity.
-    ids : array_like of int, (k,), optional
-        Ids of the points in the order of `positions`. Default: those that the observations name,
-        ascending.
-    positions : array_like, (k, 2) or (k, 3), optional
-        Where the points are. Default: a solve places them.
-
-    Returns
-    -------
-    Landmarks
-
-    Raises
-    ------
-    GraphError
-        If shapes do not fit, numbers are not finite, or an observation names an unknown point.
-    InformationError
-        If information is not symmetric positive semidefinite, or is zero.
-    """
-    pairs = checks.pairs_of_ids(observations)
-    z = checks.table("measurements of landmarks", measurements)
-    given = None if positions is None else checks.table("positions of landmarks", positions)
-    if z.shape[1] == 0:
-        z = z.reshape(0, 2 if given is None else given.shape[1])
-    if z.shape[1] not in (2, 3) or len(z) != len(pairs):
-        raise GraphError(
-            f"measurements of landmarks must have shape ({len(pairs)}, 2) or ({len(pairs)}, 3), "
-            f"got {z.shape}"
-        )
-    nodes = checks.distinct(pairs[:, 1]) if ids is None else _nodes(ids)
-    d = z.shape[1]
-    if given is not None:
-        if given.shape != (len(nodes), d):
-            raise GraphError(
-                f"positions of landmarks must have shape ({len(nodes)}, {d}), got {given.shape}"
-            )
-        given = checks.finite(given, "position of landmark", nodes)
-
-    def name(k: int) -> str:
-        return f"observation {k} ({pairs[k, 0]} -> {pairs[k, 1]})"
-
-    for k in np.flatnonzero(~np.isfinite(z).all(axis=1))[:1]:
-        raise GraphError(f"the measurement of {name(int(k))} is not finite", edge=int(k))
-    nodes, given = checks.ascending(nodes, given)
-    unknown = ~checks.among(nodes, pairs[:, 1]) if len(nodes) else np.ones(len(pairs), np.bool_)
-    for k in np.flatnonzero(unknown)[:1]:
-        raise GraphError(f"{name(int(k))} names no landmark of the ids given", edge=int(k))
-    return Landmarks(
-        nodes, given, pairs, z, checks.semidefinite_matrices(information, len(pairs), d, name)
-    )
+    nodes = checks.node_ids(ids)
+    where = np.zeros((len(nodes), 3))
+    where[:, 2] = _row("heights", heights, len(nodes))
+    return pose_priors(nodes, as_poses(where), _diagonal(_column(sigma), len(nodes), 3, [2], nodes))
 
 
 def joined(priors: Priors | Iterable[Priors] | None) -> Priors | None:
@@ -391,50 +247,6 @@ def joined(priors: Priors | Iterable[Priors] | None) -> Priors | None:
     for part in filled[1:]:
         out = out + part
     return out
-
-
-def arrays_of(graph: PoseGraph) -> dict[str, AnyArray]:
-    """Return the arrays of priors and landmarks, as saved results hold them."""
-    out: dict[str, AnyArray] = {}
-    for prefix, table in (("priors", graph.priors), ("landmarks", graph.landmarks)):
-        if table is not None:
-            for field in fields(table):
-                value = getattr(table, field.name)
-                if value is not None:
-                    out[f"{prefix}_{field.name}"] = value
-    return out
-
-
-def saved_priors(arrays: Mapping[str, AnyArray]) -> Priors | None:
-    """Return the priors of a saved result, checked."""
-    if "priors_ids" not in arrays:
-        return None
-    return pose_priors(
-        arrays["priors_ids"],
-        arrays["priors_measurements"],
-        arrays["priors_information"],
-        offset=arrays.get("priors_offsets", None),
-    )
-
-
-def saved_landmarks(arrays: Mapping[str, AnyArray]) -> Landmarks | None:
-    """Return the landmarks of a saved result, checked."""
-    if "landmarks_ids" not in arrays:
-        return None
-    return landmarks(
-        arrays["landmarks_observations"],
-        arrays["landmarks_measurements"],
-        arrays["landmarks_information"],
-        ids=arrays["landmarks_ids"],
-        positions=arrays.get("landmarks_positions", None),
-    )
-
-
-def _nodes(ids: ArrayLike) -> Ids:
-    nodes = checks.integers("ids", ids)
-    if nodes.ndim != 1:
-        raise GraphError(f"ids must have shape (p,), got {nodes.shape}")
-    return nodes
 
 
 def _row(name: str, values: ArrayLike, count: int) -> Floats:
@@ -461,17 +273,9 @@ def _diagonal(
     rows = np.broadcast_to(values, (count, len(where)))
     for k in np.flatnonzero(~((rows > 0) & np.isfinite(rows)).all(axis=1))[:1]:
         raise GraphError(f"sigma of node {nodes[k]} must be positive and finite, got {rows[k]}")
-    dof = 3 if d == 2 else 6
-    out = np.zeros((count, dof, dof))
+    out = np.zeros((count, lie.DOF[d], lie.DOF[d]))
     out[:, where, where] = 1 / np.square(rows)
     return out
-
-
-def _identities(count: int, d: int) -> Floats:
-    poses = np.zeros((count, 3 if d == 2 else 7))
-    if d == 3:
-        poses[:, 6] = 1
-    return poses
 
 
 def _offset(offset: ArrayLike | None, nodes: Ids, size: int) -> Floats | None:
@@ -484,11 +288,10 @@ def _offset(offset: ArrayLike | None, nodes: Ids, size: int) -> Floats | None:
         )
     rows = np.array(np.broadcast_to(given, (len(nodes), size)), order="C")
     rows = checks.rotations(rows, "offset", nodes, "node")
-    identity = _identities(1, 2 if size == 3 else 3)
-    return None if (rows == identity).all() else rows
+    return None if (rows == lie.identity(2 if size == 3 else 3)).all() else rows
 
 
 def _offsets_or_identity(priors: Priors) -> Floats:
     if priors.offsets is not None:
         return priors.offsets
-    return _identities(len(priors), priors.dimension)
+    return np.tile(lie.identity(priors.dimension), (len(priors), 1))

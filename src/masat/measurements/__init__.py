@@ -1,0 +1,19 @@
+"""What a graph holds besides its edges: priors on nodes, and landmarks with their observations."""
+
+from masat.measurements.landmarks import Landmarks, landmarks
+from masat.measurements.priors import Priors, altitudes, gps, headings, joined, pose_priors
+from masat.measurements.saved import arrays_of, saved_landmarks, saved_priors
+
+__all__ = [
+    "Landmarks",
+    "Priors",
+    "altitudes",
+    "arrays_of",
+    "gps",
+    "headings",
+    "joined",
+    "landmarks",
+    "pose_priors",
+    "saved_landmarks",
+    "saved_priors",
+]
