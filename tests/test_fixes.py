@@ -181,3 +181,34 @@ def test_certificates_hold_with_lever_arms(d):
     # Without the lever arm the same fixes make another map.
     plain = masat.gps(world.ids[::10], where, 0.3)
     assert masat.solve(noisy.with_fixed([]).with_priors(plain)).chi2 > result.chi2
+
+
+def test_a_single_wrong_fix_is_named():
+    world = WORLDS["manhattan"](400, 1200, seed=3)
+    noisy = masat.worlds.perturb(world, (0.02, 0.02, 0.02), seed=1)
+    where = world.poses[::20, :2] + np.random.default_rng(0).normal(size=(20, 2)) * 0.1
+    good = noisy.with_fixed([]).with_priors(masat.gps(world.ids[::20], where, 0.1))
+    assert masat.solve(good).graph.notes == good.notes
+    where[7] += 10.0
+    bad = good.with_priors(masat.gps(world.ids[::20], where, 0.1))
+    with pytest.warns(masat.MasatWarning, match="some measurements are wrong"):
+        notes = masat.solve(bad).graph.notes
+    assert f"(chi2 of the worst: the prior of {world.ids[140]}" in notes[-1]
+
+
+def test_a_loss_tells_which_fixes_and_observations_it_believes(tmp_path):
+    world = WORLDS["manhattan"](400, 1200, seed=3)
+    seen = masat.worlds.add_landmarks(world, 20, sigma=0.05, seed=2)
+    noisy = masat.worlds.perturb(seen, (0.02, 0.02, 0.02), seed=1)
+    where = world.poses[::20, :2].copy()
+    where[7] += 10.0
+    graph = noisy.with_fixed([]).with_priors(masat.gps(world.ids[::20], where, 0.1))
+    result = masat.solve(graph, loss="geman_mcclure")
+    assert result.weights.shape == (len(graph.edges),)
+    assert np.flatnonzero(result.prior_weights < 0.1).tolist() == [7]
+    assert result.observation_weights.shape == (len(seen.landmarks.observations),)
+    assert result.observation_weights.min() > 0.2
+    result.save(tmp_path / "result.npz")
+    again = type(result).load(tmp_path / "result.npz")
+    assert (again.prior_weights == result.prior_weights).all()
+    assert (again.observation_weights == result.observation_weights).all()

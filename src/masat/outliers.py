@@ -35,7 +35,7 @@ _MAX_REDUCED, _MAX_RATIO = 2.0, 100.0
 _MAX_REDUCED_ANYHOW, _MAX_REDUCED_ALONE = 100.0, 8.0
 
 _PROBABLY = "; probably "
-_REMEDY = "some loop closures are false (robust=True, or --robust, decides which to believe)"
+_REMEDY = "(robust=True, or --robust, decides which to believe)"
 
 
 def cannot_be_right(graph: PoseGraph, chi2: float, *, strictness: float = 1.0) -> bool:
@@ -114,7 +114,9 @@ def describe_outliers(graph: PoseGraph, minimum: Minimum = "any") -> tuple[str, 
     chi2 = graph.chi2_per_edge
     reduced = _reduced(graph, float(chi2.sum()))
     is_wrong = cannot_be_right(graph, float(chi2.sum()))
-    causes = [_REMEDY]
+    assembled = isinstance(graph, AssembledGraph)
+    cause = "some measurements are wrong" if assembled else "some loop closures are false"
+    causes = [f"{cause} {_REMEDY}"]
     if minimum == "any":
         causes.append("this is a local minimum (init='auto' searches for lower ones)")
     if is_wrong or _is_too_large(graph, reduced):

@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import Any
 
 from masat.arrays import Flags
-from masat.assembly import assemble, needs_assembly
+from masat.assembly import Assembly, assemble, needs_assembly
 from masat.errors import MasatWarning, OptimizationError
 from masat.graph import PoseGraph
 from masat.initializers import SEARCHES, guess_of, guess_of_assembly
@@ -175,9 +175,9 @@ def solve(
             guess = guess.with_poses(decision.poses)
     init_seconds = perf_counter() - start
     cut_short = progress.over
-    is_plain = loss is None and not robust and assembly is None
+    is_plain = loss is None and not robust
     limit = max_iterations
-    if is_plain and init == "auto" and cannot_be_right(guess, guess.chi2):
+    if is_plain and assembly is None and init == "auto" and cannot_be_right(guess, guess.chi2):
         limit = min(max_iterations, _affordable_iterations(guess))
     options: dict[str, Any] = {
         "loss": loss,
@@ -214,7 +214,7 @@ def solve(
         if certificate is not None and certificate.certified:
             known = "global"
         notes = [note for note in guess.notes if not is_description(note)]
-        notes += describe_outliers(result.graph, known)
+        notes += describe_outliers(_solved(assembly, result), known)
         result = replace(result, graph=replace(result.graph, notes=tuple(notes)))
     if decision is not None:
         # What was decided is not to be doubted in words that suggest to decide it.
@@ -237,6 +237,13 @@ def _lowest(graph: PoseGraph, seed: int, progress: Progress) -> PoseGraph:
     """Return a graph at the lowest minimum that is found from its poses."""
     found = best_minimum(graph, seed=seed, progress=progress)
     return graph.with_poses(found.poses, notes=found.notes)
+
+
+def _solved(assembly: Assembly | None, result: Result) -> PoseGraph:
+    """Return the graph that was solved at the poses of the result."""
+    if assembly is None:
+        return result.graph
+    return assembly.at(assembly.placed(result.poses, result.graph.points)).graph
 
 
 def _affordable_iterations(graph: PoseGraph) -> int:

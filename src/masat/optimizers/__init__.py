@@ -264,7 +264,7 @@ def optimize_assembly(
     Returns
     -------
     Result
-        That of the source: its poses, its landmarks, and weights of its edges alone.
+        That of the source: its poses and its landmarks, the weights by kind of measurement.
     """
     source, graph = assembly.source, assembly.graph
     believed = None
@@ -275,11 +275,18 @@ def optimize_assembly(
         if trusted is not None:
             believed[: len(source.edges)] = checked_mask(source, trusted)
     result = optimize(graph, method, loss=loss, trusted=believed, **options)
-    return replace(
+    result = replace(
         result,
         graph=replace(assembly.disassembled(result.poses), notes=graph.notes),
         gauge=source.gauge,
-        weights=None if result.weights is None else result.weights[: len(source.edges)],
+    )
+    if result.weights is None:
+        return result
+    return replace(
+        result,
+        weights=result.weights[: len(source.edges)],
+        prior_weights=result.weights[assembly.prior_rows],
+        observation_weights=result.weights[assembly.observation_rows],
     )
 
 

@@ -37,6 +37,8 @@ _BROKEN = (
     zipfile.BadZipFile,
 )
 
+_WEIGHTS = ("weights", "prior_weights", "observation_weights")
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
@@ -75,6 +77,8 @@ class Result:
         over the trusted ones.
     weights : ndarray, (m,), or None
         With a loss, the weight of each edge at `poses`, from 0 for an edge that was ignored to 1.
+    prior_weights, observation_weights : ndarray, (p,) and (l,), or None
+        The same of the priors and of the observations of landmarks, if the graph has either.
     decision : Decision or None
         Which loop closures were believed and why, if `masat.solve` was asked to be robust. `graph`
         then holds the edges that were kept.
@@ -95,12 +99,15 @@ class Result:
     loss: str | None = None
     robust_cost: float | None = None
     weights: Floats | None = None
+    prior_weights: Floats | None = None
+    observation_weights: Floats | None = None
     decision: Decision | None = None
 
     def __post_init__(self) -> None:
         self.__dict__["gauge"] = locked(self.gauge)
-        if self.weights is not None:
-            self.__dict__["weights"] = locked(self.weights)
+        for name in _WEIGHTS:
+            if getattr(self, name) is not None:
+                self.__dict__[name] = locked(getattr(self, name))
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -190,7 +197,7 @@ class Result:
             "labels": graph.labels,
             "stamps": graph.stamps,
             **measurements.arrays_of(graph),
-            "weights": self.weights,
+            **{name: getattr(self, name) for name in _WEIGHTS},
             "kept": self.kept,
             "closures": self.closures,
             "judged_measurements": self.decision and self.decision.measurements,
@@ -257,7 +264,7 @@ class Result:
                     certificate=_certificate(about["certificate"]),
                     loss=about.get("loss"),
                     robust_cost=about.get("robust_cost"),
-                    weights=arrays.get("weights"),
+                    **{name: arrays.get(name) for name in _WEIGHTS},
                     decision=_decision(about.get("decision"), arrays),
                 )
         except FormatError:
