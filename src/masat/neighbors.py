@@ -59,7 +59,12 @@ def neighbor_scale(graph: PoseGraph) -> float | None:
     poses, _ = _core.place_along_tree(graph.topology, roots, chain, graph.measurements, poses)
     own = np.einsum("kii->ki", np.linalg.inv(graph.information[closures]))
     distance = cycle_distances(pairs, ends, z, own, poses, variance_along(graph, chain))
-    return float(np.quantile(distance, 0.1)) / TENTH[graph.dof]
+    return scale_of_best_tenth(distance, graph.dof)
+
+
+def scale_of_best_tenth(distances: Floats, dof: int) -> float:
+    """Return by which factor the best tenth of some squared distances exceed honest ones."""
+    return float(np.quantile(distances, 0.1)) / TENTH[dof]
 
 
 def cycle_distances(

@@ -9,9 +9,9 @@ import numpy as np
 from masat.arrays import Flags, Floats
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
+from masat.neighbors import scale_of_best_tenth
 from masat.optimizers import optimize
 from masat.progress import Progress
-from masat.quantiles import TENTH
 from masat.residuals import chi2_per_edge
 from masat.robust.closures import Closures
 from masat.robust.growth import Growth
@@ -178,7 +178,7 @@ def _better_scales(hypothesis: Hypothesis) -> Scales | None:
         if len(pairs) < _MIN_KEPT or hypothesis.used != (1.0, 1.0):
             return None
         between = agreement(closures, hypothesis.growth.poses, pairs)
-        common = float(np.quantile(between, 0.1)) / TENTH[closures.graph.dof]
+        common = scale_of_best_tenth(between, closures.graph.dof)
         if common > _MIN_COMMON:
             found = Scales(common, common)
     factors = _factors(found, hypothesis.used)

@@ -12,10 +12,11 @@ from masat.arrays import Flags, Floats, Ids
 from masat.graph import PoseGraph
 from masat.initializers import guess_of
 from masat.initializers.chordal import chordal
+from masat.neighbors import scale_of_best_tenth
 from masat.optimizers import optimize
 from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
-from masat.quantiles import FAR_GATE, GATE, TENTH
+from masat.quantiles import FAR_GATE, GATE
 from masat.residuals import chi2_per_edge
 from masat.robust.closures import Closures
 from masat.robust.prediction import agreement, predict_by_odometry
@@ -177,7 +178,7 @@ def odometry_allows(closures: Closures) -> float | None:
     scale = 1.0
     if len(pairs) >= _MIN_PAIRS:
         between = agreement(closures, trusted.poses, pairs)
-        scale = max(1.0, _CAUTIOUS * float(np.quantile(between, 0.1)) / TENTH[dof])
+        scale = max(1.0, _CAUTIOUS * scale_of_best_tenth(between, dof))
         if np.mean(between > GATE[dof] * scale) > _MAX_DISAGREEING:
             return None
     chosen = _some(np.arange(len(closures)))
