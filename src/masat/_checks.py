@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,9 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from masat.arrays import AnyArray, Flags, Floats, Ids, Labels
 from masat.errors import GraphError, InformationError
 from masat.information import not_semidefinite
-
-if TYPE_CHECKING:
-    from masat.measurements import Landmarks, Priors
 
 # Quaternions in files are off unit length by the rounding of their decimals, which is far less.
 _MAX_LENGTH_ERROR = 1e-2
@@ -219,47 +216,6 @@ def finite(values: Floats, what: str, names: Ids) -> Floats:
     for row in np.flatnonzero(~np.isfinite(values).all(axis=1))[:1]:
         raise GraphError(f"the {what} {names[row]} is not finite", node=int(row))
     return values
-
-
-def known_priors(priors: Priors, dimension: int, nodes: Ids, points: Ids) -> None:
-    """Refuse priors of another dimension, on unknown nodes, or on the rotation of a point."""
-    if priors.dimension != dimension:
-        raise GraphError(f"the priors are in {priors.dimension}D but the graph is in {dimension}D")
-    on_pose = among(nodes, priors.ids)
-    on_point = among(points, priors.ids) if len(points) else np.zeros_like(on_pose)
-    for k in np.flatnonzero(~(on_pose | on_point))[:1]:
-        raise GraphError(
-            f"a prior names node {priors.ids[k]}, which is not in the graph", node=int(k)
-        )
-    turned = priors.information[:, dimension:].any(axis=(1, 2))
-    if priors.offsets is not None:
-        turned |= (priors.offsets[:, :dimension] != 0).any(axis=1)
-    for k in np.flatnonzero(on_point & turned)[:1]:
-        raise GraphError(
-            f"the prior of landmark {priors.ids[k]} measures a rotation or has an offset: a point "
-            "has a position alone",
-            node=int(k),
-        )
-
-
-def known_landmarks(landmarks: Landmarks, dimension: int, nodes: Ids) -> None:
-    """Refuse landmarks of another dimension, with the id of a pose, or seen by unknown poses."""
-    if landmarks.dimension != dimension:
-        raise GraphError(
-            f"the landmarks are in {landmarks.dimension}D but the graph is in {dimension}D"
-        )
-    for k in np.flatnonzero(among(nodes, landmarks.ids))[:1]:
-        raise GraphError(
-            f"the id {landmarks.ids[k]} is that of a pose and of a landmark: choose another",
-            node=int(k),
-        )
-    pairs = landmarks.observations
-    for k in np.flatnonzero(~among(nodes, pairs[:, 0]))[:1]:
-        raise GraphError(
-            f"observation {k} ({pairs[k, 0]} -> {pairs[k, 1]}) names pose {pairs[k, 0]}, which is "
-            "not in the graph",
-            edge=int(k),
-        )
 
 
 def edge_labels(labels: Any, count: int) -> Labels | None:

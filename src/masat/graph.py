@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from masat import _checks as checks
-from masat import _core, construction, editing, lie, residuals
+from masat import _core, construction, editing, lie, renaming, residuals
 from masat import stamps as times
 from masat.arrays import Flags, Floats, Ids, Indices, Labels, Stamps, locked
 from masat.errors import GraphError
 from masat.information import partial
-from masat.measurements import Landmarks, Priors, joined
+from masat.measurements import Landmarks, Priors, check_landmarks, check_priors, joined
 from masat.structure import Structure, joint_structure
 
 # The fields that the structure depends on, and also holds.
@@ -317,7 +317,7 @@ class PoseGraph:
         """
         new = joined(priors)
         if new is not None:
-            checks.known_priors(new, self.dimension, self.ids, self.point_ids)
+            check_priors(new, self.dimension, self.ids, self.point_ids)
         return replace(self, priors=new)
 
     def with_landmarks(self, landmarks: Landmarks | None) -> PoseGraph:
@@ -331,10 +331,10 @@ class PoseGraph:
             names a landmark that would be gone: replace the priors first, with `with_priors`.
         """
         if landmarks is not None:
-            checks.known_landmarks(landmarks, self.dimension, self.ids)
+            check_landmarks(landmarks, self.dimension, self.ids)
         out = replace(self, landmarks=landmarks)
         if self.priors is not None:
-            checks.known_priors(self.priors, self.dimension, self.ids, out.point_ids)
+            check_priors(self.priors, self.dimension, self.ids, out.point_ids)
         return out
 
     def with_points(self, positions: ArrayLike) -> PoseGraph:
@@ -463,7 +463,7 @@ class PoseGraph:
             If two nodes or landmarks would get the same id, if a mapping names an unknown id, or
             if a new id is no integer of 64 bits.
         """
-        return editing.relabel(self, to)
+        return renaming.relabel(self, to)
 
     def index(self, ids: ArrayLike) -> Ids:
         """Return the indices in `ids` of node ids of any shape; an unknown id is a GraphError."""

@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 
 from masat import _checks as checks
 from masat.arrays import Flags, Ids, Indices
-from masat.editing import joined_labels, shifted
+from masat.editing import joined_labels
 from masat.errors import GraphError
 from masat.graph import PoseGraph
 from masat.measurements import landmarks
+from masat.renaming import shifted
 from masat.stamps import joined_stamps
 from masat.structure import NEW_SESSION, Structure
 

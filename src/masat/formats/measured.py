@@ -113,7 +113,8 @@ def _sensors(parsed: _core.ParsedGraph, path: Path) -> Floats:
 
 def _offsets(known: Ids, poses: Floats, wanted: Ids, lines: Ids, path: Path) -> Floats | None:
     """Return the pose of the sensor of each line, or None if all are the identity."""
-    out = np.tile(lie.identity(2 if poses.shape[1] == 3 else 3), (len(wanted), 1))
+    identity = lie.identity(2 if poses.shape[1] == 3 else 3)
+    out = np.tile(identity, (len(wanted), 1))
     asked = np.flatnonzero(wanted != _NO_PARAMETER)
     order = np.argsort(known, kind="stable")
     at = np.searchsorted(known[order], wanted[asked]).clip(max=max(len(known) - 1, 0))
@@ -126,7 +127,7 @@ def _offsets(known: Ids, poses: Floats, wanted: Ids, lines: Ids, path: Path) -> 
             int(lines[k]),
         )
     out[asked] = poses[order][at]
-    return None if (out == lie.identity(2 if poses.shape[1] == 3 else 3)).all() else out
+    return None if (out == identity).all() else out
 
 
 def _first_line(parsed: _core.ParsedGraph, point: int) -> int:

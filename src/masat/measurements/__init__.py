@@ -1,5 +1,6 @@
 """What a graph holds besides its edges: priors on nodes, and landmarks with their observations."""
 
+from masat.measurements.fit import check_landmarks, check_priors
 from masat.measurements.landmarks import Landmarks, landmarks
 from masat.measurements.priors import Priors, altitudes, gps, headings, joined, pose_priors
 from masat.measurements.saved import arrays_of, saved_landmarks, saved_priors
@@ -9,6 +10,8 @@ __all__ = [
     "Priors",
     "altitudes",
     "arrays_of",
+    "check_landmarks",
+    "check_priors",
     "gps",
     "headings",
     "joined",
