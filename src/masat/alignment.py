@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from masat import _core, lie
-from masat.arrays import Flags, Floats, Ids
+from masat import _core
+from masat.arrays import Flags, Floats
 
 # Random subsets from which a motion is computed, in 2D and 3D. If a third of the positions is
 # wrong, a subset of two is right with probability 4/9 and one of three with 8/27: all are wrong
@@ -221,10 +221,3 @@ def _trimmed(matches: Matches, motions: Motions, kept: int) -> Floats:
     """Return the sum of the smallest residuals of each motion, (s,)."""
     smallest: Floats = np.partition(matches.residuals(motions), kept - 1, axis=1)[:, :kept]
     return np.asarray(smallest.sum(axis=1))
-
-
-def moved(poses: Floats, motion: Floats, which: Flags | Ids) -> Floats:
-    """Return the poses, some of them moved by a rigid motion."""
-    out = poses.copy()
-    out[which] = lie.compose(motion, poses[which])
-    return out
