@@ -151,6 +151,40 @@ def test_linked_sessions_start_in_frames_of_their_own():
     assert common.fixed.tolist() == [0, 10**6 + 2, 2 * 10**6 + 1]
 
 
+def fixed_with_gps(n, *, y):
+    """Return a session along x at this y in the world's frame, with a fixed node and two fixes."""
+    poses = [(k, y, 0) for k in range(n)]
+    ends = [poses[1][:2], poses[-1][:2]]
+    return walk(n, fixed=0).with_poses(poses).with_priors(masat.gps([1, n - 1], ends, 0.1))
+
+
+@pytest.mark.parametrize("links", [None, ([(0, 2, 1, 0)], [(-2, 5, 0)])])
+def test_sessions_with_fixes_share_the_frame_of_the_world(links):
+    merged = masat.merge([fixed_with_gps(3, y=0), fixed_with_gps(4, y=5)], links)
+    assert merged.fixed.tolist() == [0, 10**6]
+    assert not any("fixed no longer" in note for note in merged.notes)
+    assert not any("so are the fixed nodes" in note for note in merged.notes)
+    result = masat.solve(merged)
+    assert result.chi2 < 1e-20
+    expected = [(k, 0, 0) for k in range(3)] + [(k, 5, 0) for k in range(4)]
+    assert_allclose(result.poses, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_fixed_nodes_in_a_frame_of_their_own_do_not_contradict_the_fixes_of_others(first):
+    away = walk(3, fixed=0)  # fixed at the origin of its own frame
+    located = walk(3).with_priors(masat.gps([0, 2], [(100, 50), (100, 52)], 0.1))
+    parts = [away, located] if first else [located, away]
+    own, other = (0, 1) if first else (1, 0)
+    merged = masat.merge(parts, ([(other, 2, own, 0)], [STEP]))
+    assert merged.fixed.tolist() == []
+    assert f"the fixed nodes of graphs {own} are fixed no longer" in merged.notes[-1]
+    result = masat.solve(merged)
+    assert result.chi2 < 1e-15
+    found = result.poses[masat.sessions(merged) == own, :2]
+    assert_allclose(found, [(100, 53), (100, 54), (100, 55)], atol=1e-6)
+
+
 # --- maps of sessions ---
 
 
