@@ -1,4 +1,3 @@
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +6,6 @@ import pytest
 import masat
 from masat import GraphError, PoseGraph, lie
 from masat.chain import odometry_edges
-from masat.cli import main
 from masat.residuals import residuals
 from masat.worlds import add_false_closures, grid, manhattan, normalized, perturb
 from masat.worlds.false_closures import KINDS
@@ -257,25 +255,15 @@ def test_information_without_residuals_is_not_normalized():
         normalized(replace(world(2), poses=None))
 
 
-def simulate(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["masat", "simulate", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stop:
-        main()
-    return stop.value.code
-
-
 @pytest.mark.parametrize("name", ["manhattan", "grid"])
-def test_simulate_writes_labeled_false_closures(monkeypatch, capsys, tmp_path, name):
+def test_simulate_writes_labeled_false_closures(run, name):
     sigma = "0.02,0.02,0.01" if name == "manhattan" else "0.02,0.01"
-    monkeypatch.chdir(tmp_path)
-    code = simulate(
-        monkeypatch, name, "--nodes", 200, "--edges", 299, "--noise", sigma, "--seed", 5,
+    code, out, _ = run(
+        "simulate", name, "--nodes", 200, "--edges", 299, "--noise", sigma, "--seed", 5,
         "--false", "alias:.5", "-o", "w.g2o", "--truth", "truth.g2o",
     )  # fmt: skip
     assert code == 0
-    assert capsys.readouterr().out == (
-        "w.g2o: 200 nodes, 399 edges, 100 of them false loop closures\n"
-    )
+    assert out == "w.g2o: 200 nodes, 399 edges, 100 of them false loop closures\n"
     written = masat.read("w.g2o")
     assert written.poses is None
     texts, counts = np.unique(written.labels, return_counts=True)
@@ -302,10 +290,10 @@ def test_simulate_writes_labeled_false_closures(monkeypatch, capsys, tmp_path, n
         (["--false", "random:.5"], "--false needs --noise"),
     ],
 )
-def test_simulate_refuses_what_cannot_be(monkeypatch, capsys, tmp_path, arguments, said):
-    monkeypatch.chdir(tmp_path)
-    assert simulate(monkeypatch, "city", "--nodes", 100, "-o", "w.g2o", *arguments) == 2
-    assert said in " ".join(capsys.readouterr().err.split())
+def test_simulate_refuses_what_cannot_be(run, tmp_path, arguments, said):
+    code, _, err = run("simulate", "city", "--nodes", 100, "-o", "w.g2o", *arguments)
+    assert code == 2
+    assert said in " ".join(err.split())
     assert list(tmp_path.iterdir()) == []
 
 

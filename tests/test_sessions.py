@@ -1,7 +1,6 @@
 """Sessions: merging with links, the ids that tell them apart, false links, and `masat merge`."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 import masat
 from masat import FormatError, GraphError, PoseGraph, lie
 from masat.chain import odometry_edges
-from masat.cli import main
 from masat.robust.closures import Closures
 from masat.robust.parts import joining_closures
 from masat.worlds import add_false_closures, manhattan, normalized, perturb, sphere
@@ -245,21 +243,6 @@ def test_the_closure_that_others_far_away_confirm_joins_two_parts():
 # --- files of links and the command ---
 
 
-@pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
-    """Run masat in a folder of its own: exit code, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["masat", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        out, err = capsys.readouterr()
-        return stop.value.code, out, err
-
-    return call
-
-
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_table_of_links_is_read(tmp_path, dimension):
     dof, size = lie.DOF[dimension], lie.POSE_SIZE[dimension]
@@ -376,3 +359,11 @@ def test_bad_merges_are_refused(run, arguments, message):
     code, _, err = run("merge", *arguments)
     assert code == 2
     assert message in err
+
+
+def test_missing_stamps_are_noticed_before_the_work(run, monkeypatch):
+    masat.write(walk(3), "a.g2o")
+    monkeypatch.setattr("masat.cli.merge.solved", lambda *_, **__: pytest.fail("it was solved"))
+    code, _, err = run("merge", "a.g2o", "a.g2o", "-o", "map.tum")
+    assert code == 2
+    assert "stamps" in err

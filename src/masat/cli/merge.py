@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from masat.cli import EXIT_NOT_CONVERGED, options, show
+from masat.cli.decisions import rejected_part
 from masat.cli.progress import Stages
 from masat.cli.solve import print_result
 from masat.formats import format_of, read_links, write
@@ -40,12 +41,14 @@ from masat.solver import solve as solved
 @click.option(
     "--robust",
     is_flag=True,
-    help="Reject false links, and false loop closures within the sessions.",
+    help="Reject false links, and false loop closures, priors and observations of landmarks within "
+    "the sessions.",
 )
 @click.option(
     "--rejected",
     type=click.Path(path_type=Path),
-    help="Where to write the links and loop closures that --robust rejects, in g2o.",
+    help="Where to write the edges, priors and observations that --robust rejects, and nothing "
+    "else, in g2o.",
 )
 @click.option(
     "--common-frame",
@@ -113,6 +116,7 @@ def merge(
     if show_ids:
         _print_ids(table, as_json)
         return
+    options.check_stamps(graph, out, rejected)
     known = {note for part in parts for note in part.notes}
     result = None
     if with_map:
@@ -126,10 +130,9 @@ def merge(
         if links is None and len(files) > 1:
             options.notes(["without links (--between) each stays in a frame of its own"])
     if out is not None:
-        options.check_stamps(final, out)
         write(final, out)
-    if rejected is not None and result is not None and result.kept is not None:
-        write(graph.without_edges(result.kept).with_poses(result.poses), rejected)
+    if rejected is not None and result is not None:
+        write(rejected_part(graph, result), rejected)
     if as_json:
         show.as_json(_about(table, final, result))
     elif not quiet:

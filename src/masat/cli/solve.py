@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from masat.cli import EXIT_NOT_CONVERGED, options, show
+from masat.cli.decisions import rejected_part, rows_of_decision
 from masat.cli.progress import Iterations, Stages
 from masat.formats import format_of, write
 from masat.optimality.certificate import Certificate
@@ -41,12 +42,14 @@ from masat.solver import solve as solved
 @click.option(
     "--robust",
     is_flag=True,
-    help="Decide first which loop closures to believe; the map is made of these alone.",
+    help="Decide first which loop closures, priors and observations of landmarks to believe; the "
+    "map is made of these alone.",
 )
 @click.option(
     "--rejected",
     type=click.Path(path_type=Path),
-    help="Where to write the loop closures that --robust rejects, in g2o.",
+    help="Where to write the edges, priors and observations that --robust rejects, and nothing "
+    "else, in g2o.",
 )
 @options.robust_loss
 @options.optimizer
@@ -121,8 +124,8 @@ def solve(
         options.notes([n for n in notes if not (stages.has_warned and is_description(n))])
     if out is not None:
         write(result.graph, out)
-    if rejected is not None and result.kept is not None:
-        write(graph.without_edges(result.kept).with_poses(result.poses), rejected)
+    if rejected is not None:
+        write(rejected_part(graph, result), rejected)
     if save is not None:
         result.save(save)
     if picture is not None:
@@ -166,7 +169,7 @@ def print_result(result: Result, times: dict[str, float], written: list[Path]) -
                 "result",
                 f"chi2 {result.chi2:.6g} in {result.iterations} iterations of {result.method}",
             ),
-            *_closures(result),
+            *rows_of_decision(result),
             *_robust(result),
             ("stopped", result.message),
             ("optimum", _optimum(result.certificate)),
@@ -176,45 +179,6 @@ def print_result(result: Result, times: dict[str, float], written: list[Path]) -
             ("written", ", ".join(map(str, written)) or "nothing: name a file with -o"),
         ]
     )
-
-
-def _closures(result: Result) -> list[tuple[str, str]]:
-    """Return what to say of a robust decision, a row for each reason."""
-    if result.decision is None or result.closures is None:
-        return []
-    table, decision = result.closures, result.decision
-    kept = int(table["kept"].sum())
-    said = f"{kept} of {len(table)} kept; cost {decision.cost:.6g}"
-    rows = [("loop closures", said)]
-    for name, scale, used in zip(
-        ("trusted edges", "loop closures"), decision.scales, decision.used, strict=True
-    ):
-        if scale is not None:
-            judged = "" if used == 1 else f", judged with {used:.3g}"
-            rows.append(("scale", f"covariances of {name} {scale:.3g} times what they say{judged}"))
-    rejected = table[~table["kept"]]
-    kinds = [reason.partition(" cluster ")[0] for reason in rejected["reason"].tolist()]
-    for kind in sorted(set(kinds)):
-        own = rejected[[other == kind for other in kinds]]
-        shown = ", ".join(
-            f"{a} -> {b}" for a, b in zip(own["from"][:3], own["to"][:3], strict=True)
-        )
-        reason = own["reason"][0] if len(set(own["reason"].tolist())) == 1 else kind
-        if reason == "contradicts the map beside":
-            reason += " a larger cluster"
-        rows.append(
-            ("rejected", f"{len(own)}: {reason} ({shown}{', ...' if len(own) > 3 else ''})")
-        )
-    if decision.runner_up is not None:
-        keeps = int((decision.runner_up.kept & ~decision.kept).sum())
-        rejects = int((decision.kept & ~decision.runner_up.kept).sum())
-        rows.append(
-            (
-                "nearly as likely",
-                f"cost {decision.runner_up.cost:.6g}: {keeps} more kept, {rejects} more rejected",
-            )
-        )
-    return rows
 
 
 def _robust(result: Result) -> list[tuple[str, str]]:
