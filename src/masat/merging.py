@@ -112,7 +112,7 @@ def merge(
     if len(have) == len(parts):
         poses = np.concatenate([part.poses for part in parts if part.poses is not None])[order]
         if len(parts) > 1:
-            notes.append(_frames(parts))
+            notes.append(note_on_frames(parts))
     elif have:
         missing = next(k for k in range(len(parts)) if k not in have)
         notes.append(f"the merged graph has no poses, since graph {missing} has none")
@@ -309,7 +309,8 @@ def _refuse_clash(nodes: Ids, order: Ids, sizes: list[int]) -> None:
         )
 
 
-def _frames(parts: list[PoseGraph]) -> str:
+def note_on_frames(parts: Sequence[PoseGraph]) -> str:
+    """Say in which frames the poses of merged graphs are, before they are solved together."""
     note = f"the poses of {len(parts)} merged graphs are each in the frame of their own graph"
     fixed = [part for part in parts if len(part.fixed)]
     if len(fixed) > 1 and any(part.priors is None for part in fixed):

@@ -15,6 +15,7 @@ from masat.cli.solve import print_result
 from masat.formats import format_of, read_links, write
 from masat.graph import PoseGraph
 from masat.merging import merge as merged
+from masat.merging import note_on_frames
 from masat.optimizers import Result
 from masat.solver import solve as solved
 
@@ -124,9 +125,9 @@ def merge(
             result = solved(graph, robust=robust, seed=seed, budget=budget, report_stage=stages)
     final = graph if result is None else result.graph
     if not quiet:
-        frames = "merged graphs are each in the frame of their own graph"
-        notes = [note for note in final.notes if note not in known]
-        options.notes(note for note in notes if result is None or frames not in note)
+        if result is not None:
+            known.add(note_on_frames(parts))  # no longer so
+        options.notes(note for note in final.notes if note not in known)
         if links is None and len(files) > 1:
             options.notes(["without links (--between) each stays in a frame of its own"])
     if out is not None:
