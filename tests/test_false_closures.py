@@ -7,7 +7,15 @@ import masat
 from masat import GraphError, PoseGraph, lie
 from masat.chain import odometry_edges
 from masat.residuals import residuals
-from masat.worlds import add_false_closures, grid, manhattan, normalized, perturb
+from masat.worlds import (
+    add_false_closures,
+    add_fixes,
+    add_landmarks,
+    grid,
+    manhattan,
+    normalized,
+    perturb,
+)
 from masat.worlds.false_closures import KINDS
 
 MIN_CHI2 = {2: 40, 3: 60}
@@ -244,6 +252,34 @@ def test_normalized_information_fits_the_residuals():
     noisy = masat.solve(world(3)).graph
     assert masat.diagnose(normalized(noisy)).reduced_chi2 == pytest.approx(1)
     assert normalized(noisy).structure is noisy.structure
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_false_closures_of_partial_information_agree_with_each_other(dimension):
+    graph = world(dimension)
+    d = dimension
+    information = graph.information.copy()
+    closures = np.flatnonzero(~odometry_edges(graph))
+    information[closures[::2], d:], information[closures[::2], :, d:] = 0, 0
+    graph = replace(graph, information=information)
+    spoiled, is_false = add_false_closures(graph, "alias", 0.5, seed=3)
+    assert (spoiled.chi2_per_edge[is_false] > MIN_CHI2[d]).all()
+    false = spoiled.information[is_false]
+    assert 0 < np.count_nonzero(~false[:, d:].any(axis=(1, 2))) < len(false)
+
+
+def test_priors_and_landmarks_count_in_the_reduced_chi2():
+    truth = manhattan(200, 300, seed=1)
+    graph, _ = add_fixes(perturb(truth, [0.02, 0.02, 0.01], seed=1), 0.3, 0.5, seed=1)
+    graph = add_landmarks(graph, 20, sigma=0.1, seed=1)
+    solved = masat.solve(graph).graph
+    found = normalized(solved)
+    assert masat.diagnose(found).reduced_chi2 == pytest.approx(1)
+    factor = masat.diagnose(solved).reduced_chi2
+    assert np.allclose(found.priors.information * factor, graph.priors.information)
+    assert np.allclose(found.landmarks.information * factor, graph.landmarks.information)
+    # The optimum is the same.
+    assert np.allclose(masat.optimize(found).poses, solved.poses, atol=1e-6)
 
 
 def test_information_without_residuals_is_not_normalized():

@@ -149,9 +149,7 @@ def diagnose(graph: PoseGraph) -> Diagnosis:
         information_ratio=_information_ratio(graph, is_odometry & is_full, ~is_odometry & is_full),
         chi2=chi2,
         degrees_of_freedom=degrees_of_freedom,
-        reduced_chi2=None
-        if chi2 is None or degrees_of_freedom <= 0
-        else chi2 / degrees_of_freedom,
+        reduced_chi2=None if chi2 is None or degrees_of_freedom <= 0 else chi2 / degrees_of_freedom,
         worst_edges=() if per_edge is None else _worst_edges(graph, per_edge),
         issues=(),
     )
