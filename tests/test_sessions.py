@@ -325,6 +325,18 @@ def test_sessions_without_links_stay_side_by_side(run):
     assert masat.read("map.g2o").components.tolist() == [0, 0, 0, 1, 1, 1]
 
 
+def test_sessions_with_fixes_need_no_links(run):
+    masat.write(fixed_with_gps(3, y=0), "a.g2o")
+    masat.write(fixed_with_gps(3, y=4), "b.g2o")
+    code, out, err = run("merge", "a.g2o", "b.g2o", "-o", "map.g2o")
+    assert (code, err) == (0, "")
+    assert "6 nodes, 4 edges, 4 priors" in out
+    assert_allclose(masat.read("map.g2o").poses[3:, 1], 4, atol=1e-9)
+    masat.write(walk(3), "c.g2o")
+    _, _, err = run("merge", "a.g2o", "c.g2o", "-o", "map.g2o")
+    assert "each session without priors stays in a frame of its own" in err
+
+
 def test_false_links_are_rejected_and_written(run):
     graph = clean(manhattan, 300)
     parts, (ends, measured, information) = cut(graph, 2)

@@ -35,7 +35,9 @@ from masat.solver import solve as solved
     help="Links between the sessions: a table, or a graph whose edges have the ids that --ids "
     "prints.",
 )
-@click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="Map, .g2o or .tum.")
+@click.option(
+    "-o", "--output", "out", type=click.Path(path_type=Path), help="Map: .g2o, .tum or .kitti."
+)
 @click.option(
     "--ids", "show_ids", is_flag=True, help="Print the ids that the nodes get, and do no more."
 )
@@ -54,7 +56,8 @@ from masat.solver import solve as solved
 @click.option(
     "--common-frame",
     is_flag=True,
-    help="The fixed nodes of all sessions are in one frame, and remain fixed.",
+    help="The fixed nodes of all sessions are in one frame, and remain fixed.  [default: sessions "
+    "with priors are in the world's frame, each other one in its own]",
 )
 @click.option(
     "--solve/--no-solve",
@@ -85,8 +88,8 @@ def merge(
 ) -> None:
     """Merge the sessions in FILE... into one map.
 
-    Each session has ids and a frame of its own, and no initial guess is needed between them. A line
-    of LINKS says where they meet:
+    Each session has ids of its own, and a frame of its own unless it has priors, such as position
+    fixes. No initial guess is needed between them. A line of LINKS says where they meet:
 
     \b
         session id session id   x y theta   information
@@ -97,7 +100,7 @@ def merge(
     is the upper triangle, 6 or 21 numbers; without it, it is the identity.
 
     In the map, node 17 of session 1 is 1000017; --ids prints what the ids are shifted by. Sessions
-    that no link connects stay side by side in one file, each in a frame of its own.
+    that neither links nor priors connect stay side by side in one file, each in a frame of its own.
     """  # noqa: D301
     if not with_map and (robust or rejected is not None):
         raise click.UsageError("--robust and --rejected make a map: leave out --no-solve")
@@ -128,8 +131,10 @@ def merge(
         if result is not None:
             known.add(note_on_frames(parts))  # no longer so
         options.notes(note for note in final.notes if note not in known)
-        if links is None and len(files) > 1:
-            options.notes(["without links (--between) each stays in a frame of its own"])
+        apart = sum(part.priors is None for part in parts)
+        if links is None and len(parts) > 1 and apart:
+            which = "each" if apart == len(parts) else "each session without priors"
+            options.notes([f"without links (--between) {which} stays in a frame of its own"])
     if out is not None:
         write(final, out)
     if rejected is not None and result is not None:

@@ -12,6 +12,7 @@ from masat.cli import EXIT_NOT_CONVERGED, options, show
 from masat.cli.decisions import rejected_part, rows_of_decision
 from masat.cli.progress import Iterations, Stages
 from masat.formats import format_of, write
+from masat.graph import PoseGraph
 from masat.optimality.certificate import Certificate
 from masat.optimizers import Result
 from masat.outliers import is_description
@@ -81,8 +82,8 @@ def solve(
 ) -> None:
     """Optimize the pose graph in FILE: read, make an initial guess, optimize, write, draw.
 
-    Nodes named by FIX keep their poses. In a component without any, the smallest id is not
-    optimized, or the node named with --root.
+    Nodes named by FIX keep their poses. In a component without any, and without priors such as
+    position fixes, the smallest id is not optimized, or the node named with --root.
 
     Ctrl-C ends the search with the best map so far, which is still written.
     """
@@ -163,7 +164,7 @@ def print_result(result: Result, times: dict[str, float], written: list[Path]) -
     gauge = ", ".join(map(str, result.gauge[:5])) + (", ..." if len(result.gauge) > 5 else "")
     show.rows(
         [
-            ("graph", f"{graph.dimension}D, {len(graph)} nodes, {len(graph.edges)} edges"),
+            ("graph", f"{graph.dimension}D, {_sizes(graph)}"),
             ("initial guess", f"{result.init}, chi2 {result.initial_chi2:.6g}"),
             (
                 "result",
@@ -179,6 +180,16 @@ def print_result(result: Result, times: dict[str, float], written: list[Path]) -
             ("written", ", ".join(map(str, written)) or "nothing: name a file with -o"),
         ]
     )
+
+
+def _sizes(graph: PoseGraph) -> str:
+    said = f"{len(graph)} nodes, {len(graph.edges)} edges"
+    if graph.priors is not None:
+        said += f", {len(graph.priors)} priors"
+    if graph.landmarks is not None:
+        seen = graph.landmarks
+        said += f", {len(seen)} landmarks, {len(seen.observations)} observations"
+    return said
 
 
 def _robust(result: Result) -> list[tuple[str, str]]:
