@@ -1,11 +1,13 @@
 import os
 import re
+import sys
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
 from masat import MasatWarning
+from masat.cli import main
 from masat.formats import read as read_file
 
 # Other work on the machine must not fail a test that is right.
@@ -69,3 +71,18 @@ def read_with_notes(read):
         return graph
 
     return read_with_notes
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path):
+    """Run masat in this process, in a folder of its own: exit code, output, standard error."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["masat", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        out, err = capsys.readouterr()
+        return stop.value.code, out, err
+
+    return call

@@ -8,23 +8,9 @@ import pytest
 
 import masat
 from masat import PoseGraph
-from masat.cli import main, progress
+from masat.cli import progress
 from masat.initializers import INITIALIZERS
 from masat.worlds import manhattan, perturb, sphere
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run the command line in this process: exit code, standard output, standard error."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["masat", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        out, err = capsys.readouterr()
-        return stop.value.code, out, err
-
-    return call
 
 
 @pytest.fixture

@@ -2,19 +2,18 @@
 
 import gzip
 import os
-import sys
 from pathlib import Path
 
 import pytest
 from records import EDGE, WORLD
 
-from masat.cli import main
+import masat
+from masat import PoseGraph
 
 
 @pytest.fixture
-def convert(monkeypatch, capsys, tmp_path):
-    """Run `masat convert` in a folder of its own; return exit code and standard error."""
-    monkeypatch.chdir(tmp_path)
+def convert(run):
+    """Run `masat convert` on files made for it; return exit code and standard error."""
     Path("in.g2o").write_text(WORLD)
     Path("folder.g2o").mkdir()
     Path("loop.g2o").symlink_to("loop.g2o")
@@ -22,12 +21,9 @@ def convert(monkeypatch, capsys, tmp_path):
     Path("indefinite.g2o").write_text(EDGE + "EDGE_SE2 1 2 1 2 3 0 1 0 0 0 2\n")
 
     def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["masat", "convert", *arguments])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        out, err = capsys.readouterr()
-        assert out == "" or stop.value.code == 0
-        return stop.value.code, err
+        code, out, err = run("convert", *arguments)
+        assert out == "" or code == 0
+        return code, err
 
     return call
 
@@ -79,3 +75,23 @@ def test_too_little_memory_is_one_line(convert, monkeypatch):
 
 def test_the_limit_can_be_set(convert):
     assert convert("in.g2o", "out.g2o", "--max-bytes", str(len(WORLD))) == (0, "")
+
+
+@pytest.mark.parametrize("suffix", ["tum", "kitti"])
+def test_a_trajectory_says_in_one_line_what_it_does_not_hold(run, suffix):
+    graph = PoseGraph.from_arrays(
+        [(0, 1)],
+        [(1, 0, 0)],
+        poses=[(0, 0, 0), (1, 0, 0)],
+        stamps=[1.0, 2.0],
+        priors=masat.gps([0, 1], [(0, 0), (1, 0)], 1.0),
+        landmarks=masat.landmarks([(0, 9), (1, 9)], [(2, 0), (1, 0)], positions=[(2, 0)]),
+    )
+    masat.write(graph, "all.g2o")
+    code, _, err = run("convert", "all.g2o", f"out.{suffix}")
+    assert code == 0
+    said = "note: a trajectory holds poses alone: 1 edges, 2 priors and 1 landmarks are not written"
+    assert err.splitlines()[0] == said
+    masat.write(graph.without_edges([0]), "fixes.g2o")
+    _, _, err = run("convert", "fixes.g2o", f"out.{suffix}")
+    assert "alone: 2 priors and 1 landmarks are not written" in err

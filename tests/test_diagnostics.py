@@ -259,3 +259,61 @@ def test_the_command_cannot_draw_what_has_no_poses(info, tmp_path):
     assert isinstance(done.exception, MasatError)
     assert "graph.g2o has no poses to draw" in str(done.exception)
     assert not (tmp_path / "map.png").exists()
+
+
+def with_fixes_and_landmarks(**options):
+    """Return two poses with an edge, three fixes and three observations of a point, each off."""
+    return PoseGraph.from_arrays(
+        [(0, 1)],
+        [(1, 0, 0)],
+        poses=[(0, 0, 0), (2, 0, 0)],  # chi2 of the edge: 1
+        priors=masat.gps([0, 1, 1], [(0, 2), (2, 0), (3, 0)], 1.0),  # 4 + 0 + 1
+        landmarks=masat.landmarks(
+            [(0, 9), (0, 9), (1, 9)], [(1, 1), (1, 2), (-1, 1)], **options  # 0 + 1 + 0
+        ),
+    )  # fmt: skip
+
+
+def test_the_fit_is_that_of_all_measurements():
+    graph = with_fixes_and_landmarks(positions=[(1, 1)])
+    d = masat.diagnose(graph)
+    assert d.chi2 == graph.chi2 == 7
+    # 3 + 6 + 6 measured values; 6 of the poses and 2 of the point are unknown.
+    assert d.degrees_of_freedom == 7
+    assert d.reduced_chi2 == 1
+    assert (d.priors, d.landmarks, d.observations) == (3, 1, 3)
+    assert d.worst_edges == ((0, 1, 1.0),)
+    result = masat.solve(graph)
+    again = masat.diagnose(result.graph)
+    assert np.isclose(again.reduced_chi2, result.reduced_chi2)
+
+
+def test_landmarks_without_positions_leave_the_fit_open(tmp_path):
+    graph = with_fixes_and_landmarks()
+    d = masat.diagnose(graph)
+    assert (d.chi2, d.reduced_chi2) == (None, None)
+    masat.write(with_fixes_and_landmarks(positions=[(1, 1)]), tmp_path / "graph.g2o")
+    said = CliRunner().invoke(command, [str(tmp_path / "graph.g2o")]).output
+    assert re.search(r"priors +3\n", said)
+    assert re.search(r"landmarks +1, 3 observations\n", said)
+    assert "chi2 7, reduced 1" in said
+
+
+def test_unmeasured_directions_are_no_issue():
+    position = np.diag([4.0, 4.0, 0.0])
+    full = np.diag([4.0, 4.0, 9.0])
+    d = masat.diagnose(
+        PoseGraph.from_arrays(
+            [*TRIANGLE, (2, 3), (3, 0)], [*STEPS, (1, 0, 0), (-3, 0, 0)], [full] * 4 + [position]
+        )
+    )
+    assert d.condition == 9 / 4
+    assert np.isclose(d.information_ratio, 1)
+    assert d.issues == ()
+
+
+def test_fixed_nodes_beside_landmarks_are_no_issue():
+    graph = with_fixes_and_landmarks(positions=[(1, 1)]).with_fixed([0, 1])
+    assert not any("Every node is fixed" in issue for issue in masat.diagnose(graph).issues)
+    nothing = graph.without_edges([0])
+    assert not any("no edges" in issue for issue in masat.diagnose(nothing).issues)

@@ -2,7 +2,6 @@
 
 import json
 import pickle
-import sys
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from masat import (
     solve,
     write,
 )
-from masat.cli import main
 from masat.worlds import manhattan, perturb, sphere
 
 LINE = [(0, 0, 0), (1, 0, 0), (2, 0, 0), (3, 0, 0)]
@@ -300,20 +298,6 @@ def test_errors_are_those_of_matrices(dimension):
 
 
 # --- the command line ---
-
-
-@pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["masat", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        out, err = capsys.readouterr()
-        return stop.value.code, out, err
-
-    return call
 
 
 @pytest.fixture

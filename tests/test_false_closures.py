@@ -1,4 +1,3 @@
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -7,9 +6,16 @@ import pytest
 import masat
 from masat import GraphError, PoseGraph, lie
 from masat.chain import odometry_edges
-from masat.cli import main
 from masat.residuals import residuals
-from masat.worlds import add_false_closures, grid, manhattan, normalized, perturb
+from masat.worlds import (
+    add_false_closures,
+    add_fixes,
+    add_landmarks,
+    grid,
+    manhattan,
+    normalized,
+    perturb,
+)
 from masat.worlds.false_closures import KINDS
 
 MIN_CHI2 = {2: 40, 3: 60}
@@ -248,6 +254,34 @@ def test_normalized_information_fits_the_residuals():
     assert normalized(noisy).structure is noisy.structure
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_false_closures_of_partial_information_agree_with_each_other(dimension):
+    graph = world(dimension)
+    d = dimension
+    information = graph.information.copy()
+    closures = np.flatnonzero(~odometry_edges(graph))
+    information[closures[::2], d:], information[closures[::2], :, d:] = 0, 0
+    graph = replace(graph, information=information)
+    spoiled, is_false = add_false_closures(graph, "alias", 0.5, seed=3)
+    assert (spoiled.chi2_per_edge[is_false] > MIN_CHI2[d]).all()
+    false = spoiled.information[is_false]
+    assert 0 < np.count_nonzero(~false[:, d:].any(axis=(1, 2))) < len(false)
+
+
+def test_priors_and_landmarks_count_in_the_reduced_chi2():
+    truth = manhattan(200, 300, seed=1)
+    graph, _ = add_fixes(perturb(truth, [0.02, 0.02, 0.01], seed=1), 0.3, 0.5, seed=1)
+    graph = add_landmarks(graph, 20, sigma=0.1, seed=1)
+    solved = masat.solve(graph).graph
+    found = normalized(solved)
+    assert masat.diagnose(found).reduced_chi2 == pytest.approx(1)
+    factor = masat.diagnose(solved).reduced_chi2
+    assert np.allclose(found.priors.information * factor, graph.priors.information)
+    assert np.allclose(found.landmarks.information * factor, graph.landmarks.information)
+    # The optimum is the same.
+    assert np.allclose(masat.optimize(found).poses, solved.poses, atol=1e-6)
+
+
 def test_information_without_residuals_is_not_normalized():
     with pytest.raises(GraphError, match="exact"):
         normalized(manhattan(100, 150))
@@ -257,25 +291,15 @@ def test_information_without_residuals_is_not_normalized():
         normalized(replace(world(2), poses=None))
 
 
-def simulate(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["masat", "simulate", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stop:
-        main()
-    return stop.value.code
-
-
 @pytest.mark.parametrize("name", ["manhattan", "grid"])
-def test_simulate_writes_labeled_false_closures(monkeypatch, capsys, tmp_path, name):
+def test_simulate_writes_labeled_false_closures(run, name):
     sigma = "0.02,0.02,0.01" if name == "manhattan" else "0.02,0.01"
-    monkeypatch.chdir(tmp_path)
-    code = simulate(
-        monkeypatch, name, "--nodes", 200, "--edges", 299, "--noise", sigma, "--seed", 5,
+    code, out, _ = run(
+        "simulate", name, "--nodes", 200, "--edges", 299, "--noise", sigma, "--seed", 5,
         "--false", "alias:.5", "-o", "w.g2o", "--truth", "truth.g2o",
     )  # fmt: skip
     assert code == 0
-    assert capsys.readouterr().out == (
-        "w.g2o: 200 nodes, 399 edges, 100 of them false loop closures\n"
-    )
+    assert out == "w.g2o: 200 nodes, 399 edges, 100 of them false loop closures\n"
     written = masat.read("w.g2o")
     assert written.poses is None
     texts, counts = np.unique(written.labels, return_counts=True)
@@ -302,10 +326,10 @@ def test_simulate_writes_labeled_false_closures(monkeypatch, capsys, tmp_path, n
         (["--false", "random:.5"], "--false needs --noise"),
     ],
 )
-def test_simulate_refuses_what_cannot_be(monkeypatch, capsys, tmp_path, arguments, said):
-    monkeypatch.chdir(tmp_path)
-    assert simulate(monkeypatch, "city", "--nodes", 100, "-o", "w.g2o", *arguments) == 2
-    assert said in " ".join(capsys.readouterr().err.split())
+def test_simulate_refuses_what_cannot_be(run, tmp_path, arguments, said):
+    code, _, err = run("simulate", "city", "--nodes", 100, "-o", "w.g2o", *arguments)
+    assert code == 2
+    assert said in " ".join(err.split())
     assert list(tmp_path.iterdir()) == []
 
 

@@ -174,25 +174,17 @@ def test_the_same_decision_each_time_and_saved(tmp_path):
     assert again.decision.cost == one.decision.cost
 
 
-def test_the_command_line_writes_both_parts(tmp_path, monkeypatch, capsys):
-    from masat.cli import main
-
+def test_the_command_line_writes_both_parts(run, tmp_path):
     spoiled, false = add_false_closures(clean(), "alias", 0.3, seed=5)
     masat.write(spoiled, tmp_path / "g.g2o")
     out, rest = tmp_path / "map.g2o", tmp_path / "rejected.g2o"
 
-    def run(*arguments):
-        monkeypatch.setattr("sys.argv", ["masat", "solve", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        return stop.value.code, capsys.readouterr().out
-
-    code, text = run(tmp_path / "g.g2o", "--robust", "-o", out, "--rejected", rest)
+    code, text, _ = run("solve", tmp_path / "g.g2o", "--robust", "-o", out, "--rejected", rest)
     assert code == 0
     assert "loop closures" in text
     assert "contradicts" in text
     assert len(masat.read(out).edges) == (~false).sum()
     assert len(masat.read(rest).edges) == false.sum()
-    code, text = run(tmp_path / "g.g2o", "--robust", "--json")
+    code, text, _ = run("solve", tmp_path / "g.g2o", "--robust", "--json")
     assert json.loads(text)["decision"]["closures"] == int((~odometry_edges(spoiled)).sum())
-    assert run(tmp_path / "g.g2o", "--rejected", rest)[0] == 2
+    assert run("solve", tmp_path / "g.g2o", "--rejected", rest)[0] == 2

@@ -152,3 +152,57 @@ def test_quantiles_of_chi2(table, below):
         assert total * math.exp(a * math.log(x) - x - math.lgamma(a)) == pytest.approx(
             below, abs=5e-3 * min(below, 1 - below)
         )
+
+
+def test_the_command_line_tells_and_writes_what_is_rejected_and_nothing_else(run, truth, noisy):
+    graph, is_bad = with_fixes(truth, noisy, bad=0.2)
+    seen = worlds.add_landmarks(graph.with_poses(truth.poses), 40, sigma=0.05, reach=6, seed=1)
+    wrong = seen.landmarks.measurements.copy()
+    wrong[7] += 3
+    points = masat.landmarks(
+        seen.landmarks.observations, wrong, seen.landmarks.information, ids=seen.point_ids
+    )
+    graph, is_false = worlds.add_false_closures(
+        graph.with_poses(truth.poses).with_landmarks(points), "random", 0.1, seed=2
+    )
+    masat.write(graph, "g.g2o")
+    arguments = ("--robust", "--rejected", "rejected.g2o", "-o", "map.g2o")
+    for command in ("solve", "merge"):
+        code, out, _ = run(command, "g.g2o", *arguments)
+        assert code == 0
+        said = dict(line.split("  ", 1) for line in out.splitlines() if "  " in line)
+        assert said["priors"].strip() == f"{(~is_bad).sum()} of {len(is_bad)} kept"
+        assert said["observations"].strip() == f"{len(wrong) - 1} of {len(wrong)} kept"
+        first = graph.priors.ids[is_bad][0]
+        assert f"{is_bad.sum()} priors: contradicts the rest of the map (node {first}, " in out
+        pose, point = points.observations[7]
+        assert f"1 observation: contradicts the rest of the map ({pose} -> {point})" in out
+        rejected = masat.read("rejected.g2o")
+        assert np.array_equal(rejected.edges, graph.edges[is_false])
+        assert np.array_equal(rejected.priors.ids, graph.priors.ids[is_bad])
+        assert rejected.landmarks.observations.tolist() == [[pose, point]]
+        assert rejected.point_ids.tolist() == [point]
+        solved = masat.read("map.g2o")
+        assert np.array_equal(rejected.poses, solved.poses)
+        assert np.array_equal(rejected.points[0], solved.points[solved.point_ids == point][0])
+
+
+def test_the_rejected_prior_of_a_landmark_is_written(run):
+    walk = [(k, k + 1) for k in range(5)]
+    graph = masat.PoseGraph.from_arrays(
+        walk,
+        [(1, 0, 0)] * 5,
+        np.diag([100, 100, 400]),
+        priors=masat.gps([*range(6), 9], [*((k, 0) for k in range(6)), (70, 70)], 0.1),
+        landmarks=masat.landmarks(
+            [(k, 9) for k in range(6)], [(3 - k, 2) for k in range(6)], np.eye(2) * 100
+        ),
+    )
+    masat.write(graph, "g.g2o")
+    code, out, _ = run("solve", "g.g2o", "--robust", "--rejected", "rejected.g2o")
+    assert code == 0
+    assert "6 of 7 kept" in out
+    assert "1 prior: contradicts the rest of the map (node 9)" in out
+    rejected = masat.read("rejected.g2o")
+    assert (len(rejected.edges), rejected.priors.ids.tolist()) == (0, [9])
+    assert len(rejected.landmarks.observations) == 0

@@ -1,7 +1,6 @@
 """Sessions: merging with links, the ids that tell them apart, false links, and `masat merge`."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 import masat
 from masat import FormatError, GraphError, PoseGraph, lie
 from masat.chain import odometry_edges
-from masat.cli import main
 from masat.robust.closures import Closures
 from masat.robust.parts import joining_closures
 from masat.worlds import add_false_closures, manhattan, normalized, perturb, sphere
@@ -151,6 +149,40 @@ def test_linked_sessions_start_in_frames_of_their_own():
     assert common.fixed.tolist() == [0, 10**6 + 2, 2 * 10**6 + 1]
 
 
+def fixed_with_gps(n, *, y):
+    """Return a session along x at this y in the world's frame, with a fixed node and two fixes."""
+    poses = [(k, y, 0) for k in range(n)]
+    ends = [poses[1][:2], poses[-1][:2]]
+    return walk(n, fixed=0).with_poses(poses).with_priors(masat.gps([1, n - 1], ends, 0.1))
+
+
+@pytest.mark.parametrize("links", [None, ([(0, 2, 1, 0)], [(-2, 5, 0)])])
+def test_sessions_with_fixes_share_the_frame_of_the_world(links):
+    merged = masat.merge([fixed_with_gps(3, y=0), fixed_with_gps(4, y=5)], links)
+    assert merged.fixed.tolist() == [0, 10**6]
+    assert not any("fixed no longer" in note for note in merged.notes)
+    assert not any("so are the fixed nodes" in note for note in merged.notes)
+    result = masat.solve(merged)
+    assert result.chi2 < 1e-20
+    expected = [(k, 0, 0) for k in range(3)] + [(k, 5, 0) for k in range(4)]
+    assert_allclose(result.poses, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_fixed_nodes_in_a_frame_of_their_own_do_not_contradict_the_fixes_of_others(first):
+    away = walk(3, fixed=0)  # fixed at the origin of its own frame
+    located = walk(3).with_priors(masat.gps([0, 2], [(100, 50), (100, 52)], 0.1))
+    parts = [away, located] if first else [located, away]
+    own, other = (0, 1) if first else (1, 0)
+    merged = masat.merge(parts, ([(other, 2, own, 0)], [STEP]))
+    assert merged.fixed.tolist() == []
+    assert f"the fixed nodes of graphs {own} are fixed no longer" in merged.notes[-1]
+    result = masat.solve(merged)
+    assert result.chi2 < 1e-15
+    found = result.poses[masat.sessions(merged) == own, :2]
+    assert_allclose(found, [(100, 53), (100, 54), (100, 55)], atol=1e-6)
+
+
 # --- maps of sessions ---
 
 
@@ -209,21 +241,6 @@ def test_the_closure_that_others_far_away_confirm_joins_two_parts():
 
 
 # --- files of links and the command ---
-
-
-@pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
-    """Run masat in a folder of its own: exit code, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["masat", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        out, err = capsys.readouterr()
-        return stop.value.code, out, err
-
-    return call
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -308,6 +325,18 @@ def test_sessions_without_links_stay_side_by_side(run):
     assert masat.read("map.g2o").components.tolist() == [0, 0, 0, 1, 1, 1]
 
 
+def test_sessions_with_fixes_need_no_links(run):
+    masat.write(fixed_with_gps(3, y=0), "a.g2o")
+    masat.write(fixed_with_gps(3, y=4), "b.g2o")
+    code, out, err = run("merge", "a.g2o", "b.g2o", "-o", "map.g2o")
+    assert (code, err) == (0, "")
+    assert "6 nodes, 4 edges, 4 priors" in out
+    assert_allclose(masat.read("map.g2o").poses[3:, 1], 4, atol=1e-9)
+    masat.write(walk(3), "c.g2o")
+    _, _, err = run("merge", "a.g2o", "c.g2o", "-o", "map.g2o")
+    assert "each session without priors stays in a frame of its own" in err
+
+
 def test_false_links_are_rejected_and_written(run):
     graph = clean(manhattan, 300)
     parts, (ends, measured, information) = cut(graph, 2)
@@ -342,3 +371,11 @@ def test_bad_merges_are_refused(run, arguments, message):
     code, _, err = run("merge", *arguments)
     assert code == 2
     assert message in err
+
+
+def test_missing_stamps_are_noticed_before_the_work(run, monkeypatch):
+    masat.write(walk(3), "a.g2o")
+    monkeypatch.setattr("masat.cli.merge.solved", lambda *_, **__: pytest.fail("it was solved"))
+    code, _, err = run("merge", "a.g2o", "a.g2o", "-o", "map.tum")
+    assert code == 2
+    assert "stamps" in err

@@ -1,27 +1,17 @@
 import json
-import sys
+from functools import partial
 
 import numpy as np
 import pytest
 
 import masat
-from masat.cli import main
 from masat.worlds import WORLDS, perturb
 
 
 @pytest.fixture
-def simulate(monkeypatch, capsys, tmp_path):
-    """Run `masat simulate` in a folder of its own: exit code, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["masat", "simulate", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        out, err = capsys.readouterr()
-        return stop.value.code, out, err
-
-    return call
+def simulate(run):
+    """Run `masat simulate`."""
+    return partial(run, "simulate")
 
 
 @pytest.mark.parametrize("world", WORLDS)

@@ -7,11 +7,14 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from studies import SMALL, WORLD, keys, run_all, trial, wanted
 
+import masat
 from masat.study import Case, Design, Store, StudyError, run_case, run_study
 from masat.study import runner as runner_module
 from masat.study.cluster import on_cluster
 from masat.study.design import INITS
 from masat.study.trial import initial_guess, instance
+from masat.study.worlds import GROUND_TRUTH
+from masat.worlds import add_fixes, add_landmarks, manhattan, perturb
 
 # Success
 
@@ -210,3 +213,35 @@ def test_a_study_neither_warns_nor_touches_the_filters_of_warnings(tmp_path, mon
     assert graph.notes
     assert set(guess.notes) > set(graph.notes)
     assert [t.error for t in trials] == [""] * (len(INITS) - 1)
+
+
+def with_fixes_and_landmarks(folder):
+    """Write a graph with fixes in a frame of their own and with landmarks; return it and its file.
+
+    Its poses are the truth.
+    """
+    world = perturb(manhattan(150, 250, seed=1), (0.02, 0.02, 0.01), seed=1)
+    world, _ = add_fixes(world, 0.2, 0.5, frame=(500, -200, 2.0), seed=1)
+    world = add_landmarks(world, 10, seed=1)
+    masat.write(world, folder / "fixes.g2o")
+    return world, str(folder / "fixes.g2o")
+
+
+def test_fixes_and_landmarks_count_from_each_initial_guess(tmp_path):
+    world, path = with_fixes_and_landmarks(tmp_path)
+    best = masat.solve(world)
+    for one in run_case(Case(path, (), 0), ("odometry", "masat", "auto", GROUND_TRUTH), 50):
+        assert one.error == ""
+        assert one.chi2[-1] == pytest.approx(best.chi2, rel=1e-6)
+        assert one.degrees_of_freedom == best.degrees_of_freedom
+
+
+def test_false_closures_are_studied_beside_fixes_and_landmarks(tmp_path):
+    _, path = with_fixes_and_landmarks(tmp_path)
+    case = Case(path, (), 0, "random", 0.3)
+    trials = run_case(case, ("robust", "geman_mcclure_refit"), 50)
+    for one in trials:
+        assert one.error == ""
+        assert one.scores.false_kept == 0
+        assert one.scores.cost_ratio == pytest.approx(1, abs=0.05)
+        assert one.scores.rmse < 0.1

@@ -52,6 +52,32 @@ def line(*closures):
     return PoseGraph.from_arrays(edges, measured, np.diag([100.0, 100, 400]), poses=poses)
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_positions_on_one_line_have_a_distance(dimension):
+    # They determine no rotation about the line, and none is needed for the distance.
+    size = 3 if dimension == 2 else 7
+    poses = np.tile(masat.lie.identity(dimension), (4, 1))
+    poses[:, 0] = range(4)
+    steps = np.tile(masat.lie.identity(dimension), (4, 1))
+    steps[:, 0] = [1, 1, 1, 2.1]
+    edges = [(0, 1), (1, 2), (2, 3), (0, 2)]
+    graph = PoseGraph.from_arrays(edges, steps, poses=poses)
+    moved = np.zeros((4, size))
+    moved[:, 2:] = poses[:, 2:]
+    moved[:, 1] = 2.0 * np.arange(4)  # along y, and twice as long
+    found = score(graph, graph, np.zeros(4, bool), np.ones(4, bool), moved)
+    # Off by -1.5, -.5, .5 and 1.5 along the line.
+    assert found.rmse == pytest.approx(np.sqrt(1.25))
+    same = score(
+        graph.with_poses(0 * poses + masat.lie.identity(dimension)),
+        graph,
+        np.zeros(4, bool),
+        np.ones(4, bool),
+        moved,
+    )
+    assert same.rmse == pytest.approx(np.sqrt(5))
+
+
 def test_scores_of_a_map_that_is_known():
     # At the clean map each true loop closure has a chi2 of 100 * .1^2 = 1, odometry one of 0.
     graph = line((0, 2, 2.1), (0, 3, -1.0), (1, 3, 2.1))

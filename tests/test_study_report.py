@@ -120,7 +120,7 @@ def test_real_graphs_alone_are_reported(tmp_path):
 
 def test_real_graphs_in_2d_and_3d_run(tmp_path, monkeypatch, data_dir):
     monkeypatch.setenv("MASAT_DATASETS", str(data_dir))
-    # The information of cubicle is not positive definite: a note of the reader, and no warning.
+    # The information of cubicle is not positive semidefinite: a note of the reader, and no warning.
     design = Design((), (), 1, ("odometry",), graphs=("MIT", "tinyGrid3D"), max_iterations=2)
     text = report_of(design, tmp_path)
     assert "2 of 2 runs" in text

@@ -1,5 +1,7 @@
 """Simulated fixes and landmarks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -122,3 +124,36 @@ def test_a_graph_without_poses_is_refused():
     for add in (lambda: add_fixes(graph, 0.5, 1.0), lambda: add_landmarks(graph, 3)):
         with pytest.raises(GraphError, match="the graph has none"):
             add()
+
+
+@pytest.mark.parametrize("world", [manhattan, sphere])
+def test_all_that_a_graph_has_moves_into_the_frame_of_the_fixes(world):
+    truth = add_landmarks(perturb(world(100), [0.1] * (3 if world is manhattan else 6)), 10, seed=1)
+    d = truth.dimension
+    random = np.random.default_rng(1)
+    on_pose = np.diag(random.uniform(1, 9, truth.dof))
+    position = np.zeros_like(on_pose)
+    position[:d, :d] = np.diag(random.uniform(1, 9, d))
+    off = lie.retract(lie.identity(d), random.normal(size=(3, truth.dof)))
+    at = np.tile(lie.identity(d), (3, 1))
+    at[:, :d] = random.normal(size=(3, d))
+    priors = [
+        masat.pose_priors([1, 2, 3], off, on_pose, offset=off[0]),
+        masat.pose_priors([4, 5, 6], at, position, offset=off[1]),
+        masat.pose_priors(truth.point_ids[:3], at, position),
+        masat.headings([7], [0.3], 0.1) if d == 2 else masat.altitudes([7], [3], 0.1),
+    ]
+    truth = truth.with_priors(priors)
+    moved, is_bad = add_fixes(truth, 0.1, 0.0, frame=FRAMES[d])
+    own = len(truth.priors)
+    assert (len(is_bad), len(moved.priors)) == (own + 10, own + 10)
+    assert_allclose(moved.chi2_per_prior[:own], truth.chi2_per_prior, rtol=1e-6)
+    assert_allclose(moved.chi2_per_observation, truth.chi2_per_observation, rtol=1e-6)
+    # Positions remain fixes along the axes of the world.
+    assert_array_equal(moved.priors.measurements[3:9, d:], truth.priors.measurements[3:9, d:])
+
+
+def test_noise_leaves_the_labels():
+    truth = manhattan(50)
+    labeled = replace(truth, labels=np.arange(len(truth.edges)))
+    assert_array_equal(perturb(labeled, [0.1, 0.1, 0.1]).labels, labeled.labels)

@@ -9,6 +9,7 @@ import numpy as np
 from masat.arrays import Flags, Floats
 from masat.freedoms import degrees_of_freedom as _degrees_of_freedom
 from masat.graph import PoseGraph
+from masat.information import partial
 from masat.issues import duplicate_edges, find_issues, repeated_pairs
 from masat.residuals import chi2_per_edge
 
@@ -23,6 +24,8 @@ class Diagnosis:
         2 or 3.
     nodes, edges : int
         Number of nodes and of edges.
+    priors, landmarks, observations : int
+        Number of priors, of landmarks, and of observations of landmarks.
     ids : tuple of int
         The smallest and the largest node id.
     odometry_edges : int
@@ -47,18 +50,20 @@ class Diagnosis:
         Smallest and largest eigenvalue of all information matrices; (0, 0) without edges.
     condition : float
         Largest ratio of the largest to the smallest eigenvalue of one information matrix, at most
-        4.5e15, since double precision tells no more; 1 without edges.
+        4.5e15, since double precision tells no more; 1 without edges. Edges that leave a direction
+        unmeasured do not count.
     information_ratio : float or None
         Median information of the odometry edges divided by that of the loop closures, where the
-        information of an edge is the geometric mean of its eigenvalues. None if either kind is
-        missing.
+        information of an edge is the geometric mean of its eigenvalues. Edges that leave a
+        direction unmeasured do not count. None if either kind is missing.
     chi2 : float or None
-        chi2 at the graph's own poses: the sum over all edges of e' W e. None without poses.
+        chi2 at the graph's own poses: the sum of e' W e over all edges, priors and observations.
+        None without poses, or if landmarks have no positions.
     degrees_of_freedom : int
         Number of measured values minus the number of unknown ones.
     reduced_chi2 : float or None
         chi2 divided by the degrees of freedom; about 1 if the poses are optimal and the information
-        is that of the noise. None without poses, or if no degrees of freedom are left.
+        is that of the noise. None without `chi2`, or if no degrees of freedom are left.
     worst_edges : tuple of (int, int, float)
         Up to five edges (from, to, chi2) with the largest chi2, largest first.
     issues : tuple of str
@@ -69,6 +74,9 @@ class Diagnosis:
     dimension: int
     nodes: int
     edges: int
+    priors: int
+    landmarks: int
+    observations: int
     ids: tuple[int, int]
     odometry_edges: int
     loop_closures: int
@@ -114,12 +122,19 @@ def diagnose(graph: PoseGraph) -> Diagnosis:
     odometry_edges = int(is_odometry.sum())
     degree = np.bincount(graph.edge_indices.ravel(), minlength=n)
     eigenvalues = np.linalg.eigvalsh(graph.information).astype(np.float64)
-    chi2 = None if graph.poses is None else chi2_per_edge(graph)
+    per_edge = None if graph.poses is None else chi2_per_edge(graph)
+    is_placed = graph.landmarks is None or graph.points is not None
+    chi2 = graph.chi2 if per_edge is not None and is_placed else None
+    is_full = np.ones(m, np.bool_)
+    is_full[partial(graph.information)] = False
     degrees_of_freedom = _degrees_of_freedom(graph)
     diagnosis = Diagnosis(
         dimension=graph.dimension,
         nodes=n,
         edges=m,
+        priors=0 if graph.priors is None else len(graph.priors),
+        landmarks=len(graph.point_ids),
+        observations=0 if graph.landmarks is None else len(graph.landmarks.observations),
         ids=(int(graph.ids[0]), int(graph.ids[-1])),
         odometry_edges=odometry_edges,
         loop_closures=m - odometry_edges,
@@ -130,14 +145,12 @@ def diagnose(graph: PoseGraph) -> Diagnosis:
         degree=(int(degree.min()), float(np.median(degree)), int(degree.max())),
         fixed=tuple(graph.fixed.tolist()),
         information=(float(eigenvalues.min()), float(eigenvalues.max())) if m else (0.0, 0.0),
-        condition=_condition(eigenvalues),
-        information_ratio=_information_ratio(graph, is_odometry),
-        chi2=None if chi2 is None else float(chi2.sum()),
+        condition=_condition(eigenvalues[is_full]),
+        information_ratio=_information_ratio(graph, is_odometry & is_full, ~is_odometry & is_full),
+        chi2=chi2,
         degrees_of_freedom=degrees_of_freedom,
-        reduced_chi2=None
-        if chi2 is None or degrees_of_freedom == 0
-        else float(chi2.sum()) / degrees_of_freedom,
-        worst_edges=() if chi2 is None else _worst_edges(graph, chi2),
+        reduced_chi2=None if chi2 is None or degrees_of_freedom <= 0 else chi2 / degrees_of_freedom,
+        worst_edges=() if per_edge is None else _worst_edges(graph, per_edge),
         issues=(),
     )
     return replace(diagnosis, issues=(*graph.notes, *find_issues(graph, diagnosis)))
@@ -151,12 +164,15 @@ def _condition(eigenvalues: Floats) -> float:
     return float((high / np.maximum(eigenvalues[:, 0], np.finfo(np.float64).eps * high)).max())
 
 
-def _information_ratio(graph: PoseGraph, is_odometry: Flags) -> float | None:
-    if is_odometry.all() or not is_odometry.any():
+def _information_ratio(graph: PoseGraph, odometry: Flags, closures: Flags) -> float | None:
+    if not odometry.any() or not closures.any():
         return None
     # By logarithms: a product of six eigenvalues may be out of range.
-    log_means = np.linalg.slogdet(graph.information).logabsdet / graph.dof
-    return float(np.exp(np.median(log_means[is_odometry]) - np.median(log_means[~is_odometry])))
+    log_means = [
+        np.linalg.slogdet(graph.information[which]).logabsdet / graph.dof
+        for which in (odometry, closures)
+    ]
+    return float(np.exp(np.median(log_means[0]) - np.median(log_means[1])))
 
 
 def _worst_edges(graph: PoseGraph, chi2: Floats) -> tuple[tuple[int, int, float], ...]:

@@ -38,7 +38,7 @@ class GraphError(MasatError, ValueError):
 
 
 class InformationError(GraphError):
-    """Information matrices that are not symmetric positive definite.
+    """Information matrices that are zero or not symmetric positive semidefinite.
 
     Attributes
     ----------

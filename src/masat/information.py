@@ -117,6 +117,19 @@ def partial(information: Floats) -> Ids:
     return indefinite(information)
 
 
+def inverse_root(information: Floats) -> Floats:
+    """Return matrices R, (m, d, d), so that R u has this information if u is unit noise.
+
+    R u is zero in directions without information.
+    """
+    diagonal = np.einsum("kii->ki", information)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(_scaled(information))
+    measured = values > _ROUNDED_ZERO
+    roots = np.where(measured, 1 / np.sqrt(np.where(measured, values, 1.0)), 0.0)
+    return np.asarray(vectors * roots[:, None] / scale[:, :, None])
+
+
 def _scaled(information: Floats) -> Floats:
     """Return matrices of diagonal 1, or 0: neither units nor the largest double matter to them."""
     diagonal = np.einsum("kii->ki", information)

@@ -8,6 +8,7 @@ import numpy as np
 
 from masat.arrays import Ids
 from masat.graph import PoseGraph
+from masat.information import partial
 
 if TYPE_CHECKING:
     from masat.diagnostics import Diagnosis
@@ -65,7 +66,7 @@ def repeated_pairs(graph: PoseGraph, without: Ids) -> tuple[int, int]:
 
 
 def _no_edges(graph: PoseGraph, d: Diagnosis) -> str | None:
-    if d.edges > 0:
+    if d.edges + d.priors + d.observations > 0:
         return None
     return "The graph has no edges, so there is nothing to optimize. Check the source of the graph."
 
@@ -84,6 +85,11 @@ def _components(graph: PoseGraph, d: Diagnosis) -> str | None:
 def _no_cycle(graph: PoseGraph, d: Diagnosis) -> str | None:
     if d.degrees_of_freedom > 0 or d.edges == 0:
         return None
+    if d.priors + d.observations:
+        return (
+            "Nothing is measured twice: the measurements are no more than the unknowns, so that no "
+            "residual tells how good they are. Add loop closures, priors or observations."
+        )
     return (
         "The graph has no cycle: poses chained along the edges fit every measurement exactly, and "
         "optimization cannot improve them. Add loop closures."
@@ -140,7 +146,9 @@ def _singular_information(graph: PoseGraph, d: Diagnosis) -> str | None:
     if d.condition <= _MAX_CONDITION:
         return None
     eigenvalues = np.linalg.eigvalsh(graph.information)
-    k = int((eigenvalues[:, 0] / eigenvalues[:, -1]).argmin())
+    ratio = eigenvalues[:, 0] / eigenvalues[:, -1]
+    ratio[partial(graph.information)] = np.inf
+    k = int(ratio.argmin())
     return (
         f"The information of edge {graph.edges[k, 0]} -> {graph.edges[k, 1]} is nearly singular: "
         f"its eigenvalues span {eigenvalues[k, 0]:.3g} to {eigenvalues[k, -1]:.3g}. Check its "
@@ -169,7 +177,7 @@ def _placeholders(graph: PoseGraph, d: Diagnosis) -> str | None:
 
 
 def _nothing_free(graph: PoseGraph, d: Diagnosis) -> str | None:
-    if len(d.fixed) < d.nodes:
+    if len(d.fixed) < d.nodes or d.landmarks:
         return None
     return (
         "Every node is fixed, so optimization changes nothing. Fix only nodes whose poses are "

@@ -53,8 +53,9 @@ def merge(
         What to add to the ids of each graph, the first included; ``[0, 0]`` keeps those of two.
     common_frame : bool
         Whether the fixed nodes of all graphs are in one frame, and all remain fixed. By default,
-        of the graphs that links connect, the first one with fixed nodes keeps them, and those of
-        the others are fixed no longer.
+        graphs with priors are in the world's frame, and each other graph is in a frame of its own.
+        Of the graphs that links connect, those with priors keep their fixed nodes, or without any
+        priors the first one with fixed nodes does; those of the others are fixed no longer.
 
     Returns
     -------
@@ -112,7 +113,7 @@ def merge(
     if len(have) == len(parts):
         poses = np.concatenate([part.poses for part in parts if part.poses is not None])[order]
         if len(parts) > 1:
-            notes.append(_frames(parts))
+            notes.append(note_on_frames(parts))
     elif have:
         missing = next(k for k in range(len(parts)) if k not in have)
         notes.append(f"the merged graph has no poses, since graph {missing} has none")
@@ -138,7 +139,8 @@ def merge(
     if between is not None:
         merged = _linked(merged, between, parts, shifts)
         merged = _with_note(merged, _unconnected(merged, session))
-    return merged if common_frame else _with_own_frames(merged, session)
+    in_world = np.array([part.priors is not None for part in parts])
+    return merged if common_frame else _with_own_frames(merged, session, in_world)
 
 
 def _with_measurements(merged: PoseGraph, moved: list[tuple[PoseGraph, int]]) -> PoseGraph:
@@ -229,22 +231,30 @@ def _connected(count: int, pairs: Ids) -> Indices:
     return structure.components
 
 
-def _with_own_frames(merged: PoseGraph, session: Ids) -> PoseGraph:
-    """Return the graph with, in each component, the fixed nodes of its first session with any."""
+def _with_own_frames(merged: PoseGraph, session: Ids, in_world: Flags) -> PoseGraph:
+    """Return the graph with, in each component, only those fixed nodes that share a frame.
+
+    They are those of the sessions in the world's frame, given by a mask, where links or priors tie
+    the component to the world; in any other component they are those of its first session with any.
+    """
     where = merged.index(merged.fixed)
-    if len(where) < 2:
+    if len(where) < 2 and not in_world.any():
         return merged
     component, own = merged.components[where], session[where]
-    first = np.full(int(merged.components.max()) + 1, len(session))
+    first = np.full(int(merged.components.max()) + 1, len(in_world))
     np.minimum.at(first, component, own)
     stays: Flags = own == first[component]
+    if merged.priors is not None:
+        joint = merged.joint_structure
+        tied = joint.components[joint.index(merged.fixed)] == joint.components[-1]
+        stays = np.where(tied, in_world[own], stays)
     if stays.all():
         return merged
     others = ", ".join(map(str, np.unique(own[~stays])))
     note = (
         f"the fixed nodes of graphs {others} are fixed no longer, since links connect these to "
-        "another graph with fixed nodes, in a frame of its own; if all are in one frame, say so "
-        "with common_frame=True (--common-frame)"
+        "another graph with fixed nodes or priors, in a frame of its own; if all are in one frame, "
+        "say so with common_frame=True (--common-frame)"
     )
     return _with_note(merged.with_fixed(merged.fixed[stays]), note)
 
@@ -300,8 +310,10 @@ def _refuse_clash(nodes: Ids, order: Ids, sizes: list[int]) -> None:
         )
 
 
-def _frames(parts: list[PoseGraph]) -> str:
+def note_on_frames(parts: Sequence[PoseGraph]) -> str:
+    """Say in which frames the poses of merged graphs are, before they are solved together."""
     note = f"the poses of {len(parts)} merged graphs are each in the frame of their own graph"
-    if sum(len(part.fixed) > 0 for part in parts) > 1:
+    fixed = [part for part in parts if len(part.fixed)]
+    if len(fixed) > 1 and any(part.priors is None for part in fixed):
         note += "; so are the fixed nodes, which optimization does not move"
     return note

@@ -73,8 +73,13 @@ def _not_written(graph: PoseGraph, name: str) -> tuple[str, ...]:
     if not _is_trajectory(name):
         return ()
     notes = []
-    if len(graph.edges):
-        notes.append(f"a trajectory holds poses alone: {len(graph.edges)} edges are not written")
+    lost = [(len(graph.edges), "edges")]
+    lost += [] if graph.priors is None else [(len(graph.priors), "priors")]
+    lost += [] if graph.landmarks is None else [(len(graph.landmarks), "landmarks")]
+    named = [f"{count} {what}" for count, what in lost if count]
+    if named:
+        several = " and ".join([", ".join(named[:-1]), named[-1]] if named[1:] else named)
+        notes.append(f"a trajectory holds poses alone: {several} are not written")
     if graph.stamps is not None and "stamps" not in FORMATS[name].needs:
         notes.append(f"the format {name!r} has no stamps: they are not written")
     return tuple(notes)

@@ -50,7 +50,10 @@ def info(
 
 def _tell(d: Diagnosis) -> None:
     sizes = ", ".join(map(str, d.components[:5])) + (", ..." if len(d.components) > 5 else "")
+    # Without edges there are no worst ones, though there may be poses.
     fit = "no poses in the file"
+    if d.chi2 is None and d.worst_edges:
+        fit = "no positions of the landmarks in the file"
     if d.chi2 is not None:
         fit = f"chi2 {d.chi2:.6g}, reduced {show.number(d.reduced_chi2)}"
     rows = [
@@ -61,6 +64,7 @@ def _tell(d: Diagnosis) -> None:
             f"{d.edges}: {d.odometry_edges} odometry, {d.loop_closures} loop closures, "
             f"{d.repeated_pairs} pairs of nodes with more than one edge",
         ),
+        *_more(d),
         ("components", f"{len(d.components)}, of {sizes} nodes"),
         ("degree", f"{d.degree[0]} to {d.degree[2]} edges at a node, median {d.degree[1]:g}"),
         (
@@ -76,3 +80,11 @@ def _tell(d: Diagnosis) -> None:
     rows += [("issues", issue) for issue in d.issues or ("none",)]
     for name, text in rows:
         click.echo(f"{name:<12} {text}")
+
+
+def _more(d: Diagnosis) -> list[tuple[str, str]]:
+    """Return what to say of priors and landmarks, if there are any."""
+    rows = [("priors", f"{d.priors}")] if d.priors else []
+    if d.landmarks:
+        rows.append(("landmarks", f"{d.landmarks}, {d.observations} observations"))
+    return rows

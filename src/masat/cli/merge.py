@@ -9,11 +9,13 @@ from typing import Any
 import click
 
 from masat.cli import EXIT_NOT_CONVERGED, options, show
+from masat.cli.decisions import rejected_part
 from masat.cli.progress import Stages
 from masat.cli.solve import print_result
 from masat.formats import format_of, read_links, write
 from masat.graph import PoseGraph
 from masat.merging import merge as merged
+from masat.merging import note_on_frames
 from masat.optimizers import Result
 from masat.solver import solve as solved
 
@@ -33,24 +35,29 @@ from masat.solver import solve as solved
     help="Links between the sessions: a table, or a graph whose edges have the ids that --ids "
     "prints.",
 )
-@click.option("-o", "--output", "out", type=click.Path(path_type=Path), help="Map, .g2o or .tum.")
+@click.option(
+    "-o", "--output", "out", type=click.Path(path_type=Path), help="Map: .g2o, .tum or .kitti."
+)
 @click.option(
     "--ids", "show_ids", is_flag=True, help="Print the ids that the nodes get, and do no more."
 )
 @click.option(
     "--robust",
     is_flag=True,
-    help="Reject false links, and false loop closures within the sessions.",
+    help="Reject false links, and false loop closures, priors and observations of landmarks within "
+    "the sessions.",
 )
 @click.option(
     "--rejected",
     type=click.Path(path_type=Path),
-    help="Where to write the links and loop closures that --robust rejects, in g2o.",
+    help="Where to write the edges, priors and observations that --robust rejects, and nothing "
+    "else, in g2o.",
 )
 @click.option(
     "--common-frame",
     is_flag=True,
-    help="The fixed nodes of all sessions are in one frame, and remain fixed.",
+    help="The fixed nodes of all sessions are in one frame, and remain fixed.  [default: sessions "
+    "with priors are in the world's frame, each other one in its own]",
 )
 @click.option(
     "--solve/--no-solve",
@@ -81,8 +88,8 @@ def merge(
 ) -> None:
     """Merge the sessions in FILE... into one map.
 
-    Each session has ids and a frame of its own, and no initial guess is needed between them. A line
-    of LINKS says where they meet:
+    Each session has ids of its own, and a frame of its own unless it has priors, such as position
+    fixes. No initial guess is needed between them. A line of LINKS says where they meet:
 
     \b
         session id session id   x y theta   information
@@ -93,7 +100,7 @@ def merge(
     is the upper triangle, 6 or 21 numbers; without it, it is the identity.
 
     In the map, node 17 of session 1 is 1000017; --ids prints what the ids are shifted by. Sessions
-    that no link connects stay side by side in one file, each in a frame of its own.
+    that neither links nor priors connect stay side by side in one file, each in a frame of its own.
     """  # noqa: D301
     if not with_map and (robust or rejected is not None):
         raise click.UsageError("--robust and --rejected make a map: leave out --no-solve")
@@ -113,6 +120,7 @@ def merge(
     if show_ids:
         _print_ids(table, as_json)
         return
+    options.check_stamps(graph, out, rejected)
     known = {note for part in parts for note in part.notes}
     result = None
     if with_map:
@@ -120,16 +128,17 @@ def merge(
             result = solved(graph, robust=robust, seed=seed, budget=budget, report_stage=stages)
     final = graph if result is None else result.graph
     if not quiet:
-        frames = "merged graphs are each in the frame of their own graph"
-        notes = [note for note in final.notes if note not in known]
-        options.notes(note for note in notes if result is None or frames not in note)
-        if links is None and len(files) > 1:
-            options.notes(["without links (--between) each stays in a frame of its own"])
+        if result is not None:
+            known.add(note_on_frames(parts))  # no longer so
+        options.notes(note for note in final.notes if note not in known)
+        apart = sum(part.priors is None for part in parts)
+        if links is None and len(parts) > 1 and apart:
+            which = "each" if apart == len(parts) else "each session without priors"
+            options.notes([f"without links (--between) {which} stays in a frame of its own"])
     if out is not None:
-        options.check_stamps(final, out)
         write(final, out)
-    if rejected is not None and result is not None and result.kept is not None:
-        write(graph.without_edges(result.kept).with_poses(result.poses), rejected)
+    if rejected is not None and result is not None:
+        write(rejected_part(graph, result), rejected)
     if as_json:
         show.as_json(_about(table, final, result))
     elif not quiet:

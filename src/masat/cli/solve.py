@@ -9,8 +9,10 @@ from typing import Any
 import click
 
 from masat.cli import EXIT_NOT_CONVERGED, options, show
+from masat.cli.decisions import rejected_part, rows_of_decision
 from masat.cli.progress import Iterations, Stages
 from masat.formats import format_of, write
+from masat.graph import PoseGraph
 from masat.optimality.certificate import Certificate
 from masat.optimizers import Result
 from masat.outliers import is_description
@@ -41,12 +43,14 @@ from masat.solver import solve as solved
 @click.option(
     "--robust",
     is_flag=True,
-    help="Decide first which loop closures to believe; the map is made of these alone.",
+    help="Decide first which loop closures, priors and observations of landmarks to believe; the "
+    "map is made of these alone.",
 )
 @click.option(
     "--rejected",
     type=click.Path(path_type=Path),
-    help="Where to write the loop closures that --robust rejects, in g2o.",
+    help="Where to write the edges, priors and observations that --robust rejects, and nothing "
+    "else, in g2o.",
 )
 @options.robust_loss
 @options.optimizer
@@ -78,8 +82,8 @@ def solve(
 ) -> None:
     """Optimize the pose graph in FILE: read, make an initial guess, optimize, write, draw.
 
-    Nodes named by FIX keep their poses. In a component without any, the smallest id is not
-    optimized, or the node named with --root.
+    Nodes named by FIX keep their poses. In a component without any, and without priors such as
+    position fixes, the smallest id is not optimized, or the node named with --root.
 
     Ctrl-C ends the search with the best map so far, which is still written.
     """
@@ -121,8 +125,8 @@ def solve(
         options.notes([n for n in notes if not (stages.has_warned and is_description(n))])
     if out is not None:
         write(result.graph, out)
-    if rejected is not None and result.kept is not None:
-        write(graph.without_edges(result.kept).with_poses(result.poses), rejected)
+    if rejected is not None:
+        write(rejected_part(graph, result), rejected)
     if save is not None:
         result.save(save)
     if picture is not None:
@@ -160,13 +164,13 @@ def print_result(result: Result, times: dict[str, float], written: list[Path]) -
     gauge = ", ".join(map(str, result.gauge[:5])) + (", ..." if len(result.gauge) > 5 else "")
     show.rows(
         [
-            ("graph", f"{graph.dimension}D, {len(graph)} nodes, {len(graph.edges)} edges"),
+            ("graph", f"{graph.dimension}D, {_sizes(graph)}"),
             ("initial guess", f"{result.init}, chi2 {result.initial_chi2:.6g}"),
             (
                 "result",
                 f"chi2 {result.chi2:.6g} in {result.iterations} iterations of {result.method}",
             ),
-            *_closures(result),
+            *rows_of_decision(result),
             *_robust(result),
             ("stopped", result.message),
             ("optimum", _optimum(result.certificate)),
@@ -178,43 +182,14 @@ def print_result(result: Result, times: dict[str, float], written: list[Path]) -
     )
 
 
-def _closures(result: Result) -> list[tuple[str, str]]:
-    """Return what to say of a robust decision, a row for each reason."""
-    if result.decision is None or result.closures is None:
-        return []
-    table, decision = result.closures, result.decision
-    kept = int(table["kept"].sum())
-    said = f"{kept} of {len(table)} kept; cost {decision.cost:.6g}"
-    rows = [("loop closures", said)]
-    for name, scale, used in zip(
-        ("trusted edges", "loop closures"), decision.scales, decision.used, strict=True
-    ):
-        if scale is not None:
-            judged = "" if used == 1 else f", judged with {used:.3g}"
-            rows.append(("scale", f"covariances of {name} {scale:.3g} times what they say{judged}"))
-    rejected = table[~table["kept"]]
-    kinds = [reason.partition(" cluster ")[0] for reason in rejected["reason"].tolist()]
-    for kind in sorted(set(kinds)):
-        own = rejected[[other == kind for other in kinds]]
-        shown = ", ".join(
-            f"{a} -> {b}" for a, b in zip(own["from"][:3], own["to"][:3], strict=True)
-        )
-        reason = own["reason"][0] if len(set(own["reason"].tolist())) == 1 else kind
-        if reason == "contradicts the map beside":
-            reason += " a larger cluster"
-        rows.append(
-            ("rejected", f"{len(own)}: {reason} ({shown}{', ...' if len(own) > 3 else ''})")
-        )
-    if decision.runner_up is not None:
-        keeps = int((decision.runner_up.kept & ~decision.kept).sum())
-        rejects = int((decision.kept & ~decision.runner_up.kept).sum())
-        rows.append(
-            (
-                "nearly as likely",
-                f"cost {decision.runner_up.cost:.6g}: {keeps} more kept, {rejects} more rejected",
-            )
-        )
-    return rows
+def _sizes(graph: PoseGraph) -> str:
+    said = f"{len(graph)} nodes, {len(graph.edges)} edges"
+    if graph.priors is not None:
+        said += f", {len(graph.priors)} priors"
+    if graph.landmarks is not None:
+        seen = graph.landmarks
+        said += f", {len(seen)} landmarks, {len(seen.observations)} observations"
+    return said
 
 
 def _robust(result: Result) -> list[tuple[str, str]]:

@@ -41,15 +41,17 @@ def aligned(
     if how not in ("se3", "sim3"):
         raise EvaluationError(f'align must be "none", "origin", "se3" or "sim3", got {how!r}')
     d = 2 if planar else 3
-    transform, scale = _umeyama(poses[:, :d], truth[:, :d], with_scale=how == "sim3")
+    _refuse_undetermined(poses[:, :d], truth[:, :d])
+    transform, scale = similarity(poses[:, :d], truth[:, :d], with_scale=how == "sim3")
     scaled = poses.copy()
     scaled[:, :3] *= scale
     return lie.compose(transform, scaled), transform, scale
 
 
-def _umeyama(x: Floats, y: Floats, *, with_scale: bool) -> tuple[Floats, float]:
+def similarity(x: Floats, y: Floats, *, with_scale: bool = False) -> tuple[Floats, float]:
     """Return the transform, (7,), and the scale c that minimize the sum of |R c x + t - y|^2.
 
+    It is one of several where the points, (k, 2) or (k, 3), are on one line or all the same.
     Source: Umeyama, Least-squares estimation of transformation parameters between two point
     patterns, 1991, equations 34 to 43.
     """
@@ -57,16 +59,21 @@ def _umeyama(x: Floats, y: Floats, *, with_scale: bool) -> tuple[Floats, float]:
     mean_x, mean_y = x.mean(axis=0), y.mean(axis=0)
     from_x, from_y = x - mean_x, y - mean_y
     variance_x = float((from_x**2).sum()) / len(x)
-    variance_y = float((from_y**2).sum()) / len(y)
     covariance = from_y.T @ from_x / len(x)
-    singular = np.linalg.svd(covariance, compute_uv=False)
-    if singular[d - 2] <= _SMALLEST_RATIO * np.sqrt(variance_x * variance_y):
-        raise EvaluationError(
-            "the positions are all the same or on one line, so they do not determine an "
-            'alignment: align the first pose ("origin"), or nothing ("none")'
-        )
     transform = _core.nearest_rotations(np.ascontiguousarray(covariance[None]))
     rotation = _core.rotation_matrices(transform)[0]
     scale = float((rotation * covariance).sum()) / variance_x if with_scale else 1.0
     transform[0, :d] = mean_y - scale * rotation @ mean_x
     return lie.to_3d(transform[0]), scale
+
+
+def _refuse_undetermined(x: Floats, y: Floats) -> None:
+    """Refuse points that do not determine a rotation."""
+    from_x, from_y = x - x.mean(axis=0), y - y.mean(axis=0)
+    singular = np.linalg.svd(from_y.T @ from_x, compute_uv=False)
+    size = np.sqrt((from_x**2).sum() * (from_y**2).sum())
+    if singular[x.shape[1] - 2] <= _SMALLEST_RATIO * size:
+        raise EvaluationError(
+            "the positions are all the same or on one line, so they do not determine an "
+            'alignment: align the first pose ("origin"), or nothing ("none")'
+        )

@@ -11,7 +11,7 @@ from masat.errors import MasatError
 from masat.graph import PoseGraph
 from masat.structure import Structure
 from masat.study.names import Case
-from masat.study.robust_methods import METHODS, plain
+from masat.study.robust_methods import METHODS, plain_map
 from masat.study.scores import Scores, score
 from masat.study.trial import instance, reason
 from masat.worlds import add_false_closures, normalized
@@ -80,18 +80,20 @@ def spoiled(case: Case, max_iterations: int) -> Spoiled:
     """Solve the clean graph of a case and add the false loop closures."""
     graph = unsolved(instance(case.clean))
     begin = perf_counter()
-    poses = plain(graph, max_iterations).poses
+    result = plain_map(graph, max_iterations)
     seconds = perf_counter() - begin
-    clean = normalized(graph.with_poses(poses))
+    clean = normalized(replace(result.graph, notes=graph.notes))
     with_false, is_false = add_false_closures(clean, case.kind, case.fraction, seed=case.seed)
     return Spoiled(clean, unsolved(with_false), is_false, seconds)
 
 
 def unsolved(graph: PoseGraph) -> PoseGraph:
     """Return a copy for which nothing was computed yet, without poses unless nodes are fixed."""
+    seen = graph.landmarks
     return replace(
         graph,
         poses=graph.poses if len(graph.fixed) else None,
+        landmarks=None if seen is None else replace(seen, positions=None),
         labels=None,
         structure=Structure(graph.ids, graph.edges, graph.fixed, graph.dof),
     )

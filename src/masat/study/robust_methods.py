@@ -11,8 +11,8 @@ import numpy as np
 from masat.arrays import Flags, Floats
 from masat.chain import odometry_edges
 from masat.graph import PoseGraph
-from masat.initializers import INITIALIZERS
-from masat.optimizers import LOSSES, optimize
+from masat.initializers import guess_of
+from masat.optimizers import LOSSES, Result, optimize
 from masat.optimizers.losses import default_scale
 from masat.solver import solve
 
@@ -37,8 +37,13 @@ def robust(graph: PoseGraph, max_iterations: int) -> Answer:
 
 def plain(graph: PoseGraph, max_iterations: int) -> Answer:
     """Believe all edges: what `masat.solve(graph)` does, without its warnings."""
-    result = optimize(INITIALIZERS["auto"](graph), max_iterations=max_iterations)
+    result = plain_map(graph, max_iterations)
     return Answer(np.ones(len(graph.edges), np.bool_), result.poses)
+
+
+def plain_map(graph: PoseGraph, max_iterations: int) -> Result:
+    """Return what `masat.solve(graph)` finds, without its warnings."""
+    return optimize(guess_of(graph, "auto"), max_iterations=max_iterations)
 
 
 def with_loss(graph: PoseGraph, max_iterations: int, *, loss: str) -> Answer:
@@ -47,18 +52,23 @@ def with_loss(graph: PoseGraph, max_iterations: int, *, loss: str) -> Answer:
     The scale of the loss is its default. A loop closure counts as kept up to the chi2 that one
     honest one in 100 exceeds, the square of that scale.
     """
-    trusted = odometry_edges(graph)
-    guess = INITIALIZERS["odometry"](graph)
-    result = optimize(guess, loss=loss, trusted=trusted, max_iterations=max_iterations)
-    gate = default_scale(graph.dof) ** 2
-    return Answer(trusted | (result.graph.chi2_per_edge <= gate), result.poses)
+    kept, result = _with_loss(graph, max_iterations, loss)
+    return Answer(kept, result.poses)
 
 
 def geman_mcclure_refit(graph: PoseGraph, max_iterations: int) -> Answer:
     """Minimize the loss of Geman and McClure, and then chi2 of the edges that it kept."""
-    kept, poses = with_loss(graph, max_iterations, loss="geman_mcclure")
-    rest = graph.without_edges(~kept).with_poses(poses)
+    kept, result = _with_loss(graph, max_iterations, "geman_mcclure")
+    rest = result.graph.without_edges(~kept)
     return Answer(kept, optimize(rest, max_iterations=max_iterations).poses)
+
+
+def _with_loss(graph: PoseGraph, max_iterations: int, loss: str) -> tuple[Flags, Result]:
+    trusted = odometry_edges(graph)
+    guess = guess_of(graph, "odometry")
+    result = optimize(guess, loss=loss, trusted=trusted, max_iterations=max_iterations)
+    gate = default_scale(graph.dof) ** 2
+    return trusted | (result.graph.chi2_per_edge <= gate), result
 
 
 METHODS: dict[str, RobustMethod] = {

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from masat import lie
 from masat.arrays import Flags, Floats
 from masat.chain import odometry_edges
+from masat.evaluation.alignment import similarity
 from masat.graph import PoseGraph
+from masat.quantiles import GATE
 from masat.residuals import chi2_per_edge
 
-# chi2 that one honest measurement in 1,000 exceeds, for 3 and 6 degrees of freedom.
-_GATE = {3: 16.27, 6: 22.46}
 MAX_RATIO = 1.05
 """A map succeeds whose cost exceeds that of the clean map by no more than this factor."""
 
@@ -92,7 +93,7 @@ def score(
     best, found = chi2_per_edge(clean, clean.poses), chi2_per_edge(clean, poses)
     # A clean map of exact measurements has a chi2 of zero.
     tiny = np.finfo(np.float64).tiny
-    gate = _GATE[graph.dof]
+    gate = GATE[graph.dof]
     return Scores(
         true_closures=int(true.sum()),
         true_kept=int((true & kept).sum()),
@@ -108,15 +109,11 @@ def _truncated(chi2: Floats, closures: Flags, gate: float) -> float:
     return float(chi2[~closures].sum() + np.minimum(chi2[closures], gate).sum())
 
 
-def _aligned_rmse(points: Floats, reference: Floats) -> float:
-    """Return the root mean square distance after the best rotation and translation.
-
-    Source: Arun, Huang, Blostein, Least-squares fitting of two 3-D point sets, PAMI 1987, with the
-    determinant of Umeyama, PAMI 1991.
-    """
-    a, b = points - points.mean(axis=0), reference - reference.mean(axis=0)
-    u, _, vt = np.linalg.svd(b.T @ a)
-    signs = np.ones(len(u))
-    signs[-1] = np.linalg.det(u @ vt)
-    rotation = (u * signs) @ vt
-    return float(np.sqrt(((a @ rotation.T - b) ** 2).sum(axis=1).mean()))
+def _aligned_rmse(positions: Floats, reference: Floats) -> float:
+    """Return the root mean square distance after the best rotation and translation."""
+    transform, _ = similarity(positions, reference)
+    d = positions.shape[1]
+    points = np.tile(lie.identity(3), (len(positions), 1))
+    points[:, :d] = positions
+    off = lie.compose(transform, points)[:, :d] - reference
+    return float(np.sqrt((off**2).sum(axis=1).mean()))

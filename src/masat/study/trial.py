@@ -7,7 +7,7 @@ from time import perf_counter
 
 from masat.errors import MasatError
 from masat.graph import PoseGraph
-from masat.initializers import INITIALIZERS
+from masat.initializers import guess_of
 from masat.optimizers import Result, optimize
 from masat.study.names import Case
 from masat.study.worlds import GROUND_TRUTH, load_real, load_world
@@ -102,9 +102,9 @@ def instance(case: Case) -> PoseGraph:
 
 
 def initial_guess(graph: PoseGraph, init: str) -> PoseGraph:
-    """Return the graph at an initial guess of `INITIALIZERS`, or at the poses it has: the truth."""
+    """Return the graph at an initial guess, or at the poses it has: the truth."""
     # Not `masat.initialize`, whose warnings have no reader here.
-    return INITIALIZERS["given" if init == GROUND_TRUTH else init](graph)
+    return guess_of(graph, "given" if init == GROUND_TRUTH else init)
 
 
 def solve(guess: PoseGraph, max_iterations: int) -> Result:

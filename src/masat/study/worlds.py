@@ -69,7 +69,7 @@ def is_path(graph: str) -> bool:
 def load_real(name: str) -> PoseGraph:
     """Return a public graph, or that of a file, as it is.
 
-    Information that is not positive definite is replaced by the identity.
+    If information matrices are not positive semidefinite, every edge gets the identity.
     """
     from masat.datasets import DATASETS, fetch
     from masat.formats.reading import read_without_warnings

@@ -12,7 +12,9 @@ from masat import lie
 from masat.arrays import Flags, Floats, Ids
 from masat.chain import odometry_edges
 from masat.errors import GraphError
+from masat.freedoms import degrees_of_freedom
 from masat.graph import PoseGraph
+from masat.information import inverse_root, partial
 from masat.worlds.closures import MAX_COUNT, check_seed
 from masat.worlds.noise import with_noise
 
@@ -132,7 +134,8 @@ def add_false_closures(
 def normalized(graph: PoseGraph) -> PoseGraph:
     """Return the graph with information that fits its residuals: with a reduced chi2 of 1.
 
-    The information of public graphs is often off by a common factor, by which it is divided here.
+    The information of public graphs is often off by a common factor, by which that of all edges,
+    priors and observations is divided here.
 
     Parameters
     ----------
@@ -149,7 +152,7 @@ def normalized(graph: PoseGraph) -> PoseGraph:
         If the graph has no poses, if its measurements are no more than its unknowns, or if they are
         exact: there are no residuals then to compare the information with.
     """
-    redundancy = graph.dof * (len(graph.edges) - (len(graph.ids) - len(graph.gauge)))
+    redundancy = degrees_of_freedom(graph)
     if redundancy <= 0:
         raise GraphError("the graph has no reduced chi2: its measurements are not redundant")
     factor = graph.chi2 / redundancy
@@ -159,7 +162,13 @@ def normalized(graph: PoseGraph) -> PoseGraph:
             f"the reduced chi2 is {factor:.3g}: the measurements are exact, so that their "
             "residuals tell nothing about their information"
         )
-    return replace(graph, information=graph.information / factor)
+    priors, seen = graph.priors, graph.landmarks
+    return replace(
+        graph,
+        information=graph.information / factor,
+        priors=priors and replace(priors, information=priors.information / factor),
+        landmarks=seen and replace(seen, information=seen.information / factor),
+    )
 
 
 def _checked_kind(kind: str) -> _Kind:
@@ -272,11 +281,22 @@ def _consistent(runs: _Runs, random: np.random.Generator) -> Floats:
     wrong = lie.compose(lie.compose(runs.first[:, :1], begin), lie.inverse(runs.second[:, :1]))
     exact = lie.between(runs.first, lie.compose(wrong, runs.second))
     dof = runs.information.shape[-1]
-    # With the information W = L L', the residual L'^-1 u has the covariance W^-1.
-    upper = np.linalg.cholesky(runs.information).swapaxes(-1, -2)
-    noise = np.linalg.solve(upper, random.normal(size=(*exact.shape[:2], dof, 1)))[..., 0]
-    step = lie.retract(lie.identity(2 if dof == 3 else 3), noise)
+    unit = random.normal(size=(*exact.shape[:2], dof, 1))
+    noise = _noise(runs.information.reshape(-1, dof, dof), unit.reshape(-1, dof, 1))
+    step = lie.retract(lie.identity(2 if dof == 3 else 3), noise.reshape(unit.shape[:3]))
     return lie.compose(exact, lie.inverse(step))
+
+
+def _noise(information: Floats, unit: Floats) -> Floats:
+    """Return noise of this information, (k, d, 1), made of unit noise; unmeasured directions: 0."""
+    out = np.empty_like(unit)
+    is_partial = np.zeros(len(information), np.bool_)
+    is_partial[partial(information)] = True
+    # With the information W = L L', the residual L'^-1 u has the covariance W^-1.
+    upper = np.linalg.cholesky(information[~is_partial]).swapaxes(-1, -2)
+    out[~is_partial] = np.linalg.solve(upper, unit[~is_partial])
+    out[is_partial] = inverse_root(information[is_partial]) @ unit[is_partial]
+    return out
 
 
 KINDS = {

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from masat import lie
+from masat import _core, lie
 from masat.arrays import Flags, Floats
 from masat.errors import GraphError
 from masat.graph import PoseGraph
-from masat.measurements import gps
+from masat.measurements import Priors, gps
+from masat.residuals import as_poses
 from masat.worlds.closures import check_seed
 from masat.worlds.noise import ZERO_SIGMA
 
@@ -44,7 +47,8 @@ def add_fixes(
         How far bad fixes are from the true position before the noise, in meters, in any direction.
     frame : array_like, (3,) or (7,), optional
         Pose of the frame of the graph in the frame of the fixes, such as east, north, up. The
-        poses of the new graph are in the frame of the fixes. Default: both are the same.
+        poses, landmarks and earlier priors of the new graph are in the frame of the fixes. Default:
+        both are the same.
     seed : int
         Seed of the random numbers.
 
@@ -66,10 +70,10 @@ def add_fixes(
     check_length("the sigma of fixes", sigma)
     check_length("the distance of bad fixes", bad_distance)
     check_seed(seed)
-    poses = true_poses(graph, "fixes")
+    true_poses(graph, "fixes")
     if frame is not None:
-        graph = graph.with_poses(lie.compose(_checked_frame(frame, graph), poses))
-        poses = true_poses(graph, "fixes")
+        graph = _moved(graph, _checked_frame(frame, graph))
+    poses = true_poses(graph, "fixes")
     d, random = graph.dimension, np.random.default_rng([seed, 3])
     nodes = np.sort(random.choice(len(graph), round(fraction * len(graph)), replace=False))
     is_bad = np.zeros(len(nodes), np.bool_)
@@ -83,6 +87,29 @@ def add_fixes(
         added = gps(graph.ids[nodes], fixes, sigma or ZERO_SIGMA)
         graph = graph.with_priors(added if graph.priors is None else [graph.priors, added])
     return graph, np.concatenate([np.zeros(own, np.bool_), is_bad])
+
+
+def _moved(graph: PoseGraph, frame: Floats) -> PoseGraph:
+    """Return the graph with its poses, landmarks and priors in the frame of the fixes."""
+    out = graph.with_poses(lie.compose(frame, true_poses(graph, "fixes")))
+    if graph.points is not None:
+        d = graph.dimension
+        out = out.with_points(lie.compose(frame, as_poses(graph.points))[:, :d])
+    return out if graph.priors is None else out.with_priors(_moved_priors(graph.priors, frame))
+
+
+def _moved_priors(priors: Priors, frame: Floats) -> Priors:
+    """Return priors in another frame; their residuals at moved poses are the same."""
+    d = priors.dimension
+    moved = lie.compose(frame, priors.measurements)
+    information = priors.information.copy()
+    # Positions alone have the axes of their new frame, as those that `gps` makes.
+    positions = ~information[:, d:].any(axis=(1, 2))
+    turn = _core.rotation_matrices(np.ascontiguousarray(moved[positions]))
+    moved[positions] = as_poses(moved[positions, :d])
+    turned = turn @ information[positions, :d, :d] @ turn.transpose(0, 2, 1)
+    information[positions, :d, :d] = (turned + turned.transpose(0, 2, 1)) / 2
+    return replace(priors, measurements=moved, information=information)
 
 
 def true_poses(graph: PoseGraph, what: str) -> Floats:

@@ -40,10 +40,10 @@ def perturb(graph: PoseGraph, sigma: Sequence[float], *, seed: int = 0) -> PoseG
     Returns
     -------
     PoseGraph
-        The graph with noisy measurements, diagonal information, and its own poses, priors and
-        landmarks. The information
-        is 1 / sigma^2, for rotations in 3D 4 / sigma^2, because the vector part of a quaternion is
-        half the rotation vector. For a sigma of 0, see `ZERO_SIGMA`.
+        The graph with noisy measurements, diagonal information, and all else as it was: poses,
+        labels, stamps, priors and landmarks. The information is 1 / sigma^2, for rotations in 3D
+        4 / sigma^2, because the vector part of a quaternion is half the rotation vector. For a
+        sigma of 0, see `ZERO_SIGMA`.
 
     Raises
     ------
@@ -89,6 +89,7 @@ def perturb(graph: PoseGraph, sigma: Sequence[float], *, seed: int = 0) -> PoseG
         poses=graph.poses,
         fixed=graph.fixed.tolist(),
         notes=graph.notes,
+        labels=graph.labels,
         stamps=graph.stamps,
         priors=graph.priors,
         landmarks=graph.landmarks,
