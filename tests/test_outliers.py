@@ -18,7 +18,7 @@ from masat.chain import odometry_edges
 from masat.neighbors import neighbor_scale
 from masat.optimality import best
 from masat.optimizers import Result
-from masat.outliers import cannot_be_right, describe_outliers, is_description, outlying_edges
+from masat.outliers import Suspicion, cannot_be_right, describe_outliers, outlying_edges
 from masat.worlds import add_false_closures, manhattan, perturb
 from masat.worlds.false_closures import KINDS
 
@@ -33,7 +33,7 @@ def bare(graph, factor=1.0):
 
 
 def said_of(result):
-    return [note for note in result.graph.notes if is_description(note)]
+    return [note for note in result.graph.notes if isinstance(note, Suspicion)]
 
 
 def spoiled(dimension, kind, fraction, seed=0):
@@ -263,3 +263,13 @@ def test_a_note_of_the_input_stays():
     assert len(result.graph.notes) == 2
     # Solved again, the note is that of the new map alone.
     assert len(masat.solve(result.graph).graph.notes) == 2
+
+
+def test_a_suspicion_is_a_sentence_that_survives_pickling():
+    import pickle
+
+    said = Suspicion("an edge contradicts the map", ["it is false", "it is not"])
+    assert said == "an edge contradicts the map; probably it is false, or it is not"
+    again = pickle.loads(pickle.dumps(said))
+    assert again == said
+    assert again.contradiction == "an edge contradicts the map"

@@ -206,3 +206,16 @@ def test_the_rejected_prior_of_a_landmark_is_written(run):
     rejected = masat.read("rejected.g2o")
     assert (len(rejected.edges), rejected.priors.ids.tolist()) == (0, [9])
     assert len(rejected.landmarks.observations) == 0
+
+
+def test_an_observation_far_off_takes_no_honest_one_with_it(truth):
+    world = worlds.add_landmarks(truth, 40, sigma=0.05, reach=6.0, seed=1)
+    world, _ = worlds.add_fixes(world, 0.2, 0.1, frame=(700.0, -300.0, 2.5))
+    graph = worlds.perturb(world, (0.02, 0.02, 0.02), seed=1)
+    seen = graph.landmarks
+    measured = seen.measurements.copy()
+    measured[7] += 30.0
+    wrong = masat.landmarks(seen.observations, measured, information=seen.information)
+    decision = decide(graph.with_landmarks(wrong))
+    assert np.flatnonzero(~decision.kept_observations).tolist() == [7]
+    assert decision.kept_priors.all()

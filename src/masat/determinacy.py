@@ -44,7 +44,7 @@ def refuse_undetermined(assembly: Assembly, what: str) -> None:
     """Raise an OptimizationError that names what is not determined, if anything is not."""
     found = undetermined(assembly)
     if found:
-        said = _sentence(assembly, found[0]).replace("; kept at the initial guess", "")
+        said = _sentence(assembly, found[0], then="")
         raise OptimizationError(f"{what}: {said}")
 
 
@@ -60,7 +60,9 @@ def _notes(assembly: Assembly, found: list[Freedom]) -> list[str]:
     return notes
 
 
-def _sentence(assembly: Assembly, freedom: Freedom) -> str:
+def _sentence(
+    assembly: Assembly, freedom: Freedom, then: str = "; kept at the initial guess"
+) -> str:
     graph = assembly.graph
     d, node = graph.dimension, int(graph.ids[freedom.node])
     is_point = bool(assembly.is_point[freedom.node])
@@ -91,8 +93,8 @@ def _sentence(assembly: Assembly, freedom: Freedom) -> str:
         cure = ("a heading" if d == 2 else "a rotation prior") + ", or position fixes of other "
         cure += "nodes off that axis" if d == 3 else "nodes"
     return (
-        f"{what}: {' and '.join(free)} not determined ({_seen(assembly, freedom)}); kept at the "
-        f"initial guess. {cure[0].upper()}{cure[1:]} would determine it"
+        f"{what}: {' and '.join(free)} not determined ({_seen(assembly, freedom)}){then}. "
+        f"{cure[0].upper()}{cure[1:]} would determine it"
     )
 
 

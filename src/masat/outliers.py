@@ -34,8 +34,30 @@ _MAX_REDUCED, _MAX_RATIO = 2.0, 100.0
 # up to 19 and 5.8.
 _MAX_REDUCED_ANYHOW, _MAX_REDUCED_ALONE = 100.0, 8.0
 
-_PROBABLY = "; probably "
 _REMEDY = "(robust=True, or --robust, decides which to believe)"
+
+
+class Suspicion(str):
+    """A sentence on why a map cannot be right, or on what contradicts it.
+
+    Attributes
+    ----------
+    contradiction : str
+        The sentence without the probable causes and what to do about them.
+    """
+
+    contradiction: str
+    _causes: list[str]
+
+    def __new__(cls, contradiction: str, causes: list[str]) -> Suspicion:
+        """Make a sentence of what is contradicted and of the probable causes."""
+        said = super().__new__(cls, f"{contradiction}; probably {', or '.join(causes)}")
+        said.contradiction, said._causes = contradiction, causes
+        return said
+
+    def __reduce__(self) -> tuple[type[Suspicion], tuple[str, list[str]]]:
+        """Return what pickle makes the sentence of again."""
+        return Suspicion, (self.contradiction, self._causes)
 
 
 def cannot_be_right(graph: PoseGraph, chi2: float, *, strictness: float = 1.0) -> bool:
@@ -94,7 +116,7 @@ Minimum: TypeAlias = Literal["any", "searched", "global"]
 """What is known of a minimum: nothing, that a search ended there, or that none is lower."""
 
 
-def describe_outliers(graph: PoseGraph, minimum: Minimum = "any") -> tuple[str, ...]:
+def describe_outliers(graph: PoseGraph, minimum: Minimum = "any") -> tuple[Suspicion, ...]:
     """Return a sentence on why a map cannot be right, with its worst edges, or nothing.
 
     Parameters
@@ -106,7 +128,7 @@ def describe_outliers(graph: PoseGraph, minimum: Minimum = "any") -> tuple[str, 
 
     Returns
     -------
-    tuple of str
+    tuple of Suspicion
         One sentence, or none if nothing is suspicious.
     """
     if len(graph.edges) == 0 or graph.poses is None:
@@ -134,7 +156,7 @@ def describe_outliers(graph: PoseGraph, minimum: Minimum = "any") -> tuple[str, 
         said = _contradiction(graph, far, chi2)
         if minimum == "searched":
             causes.append("this is a local minimum")
-    return (f"{said}{_PROBABLY}{', or '.join(causes)}",)
+    return (Suspicion(said, causes),)
 
 
 def _contradiction(graph: PoseGraph, far: Ids, chi2: Floats) -> str:
@@ -158,16 +180,6 @@ def _name(graph: PoseGraph, edge: int) -> str:
 def _closures_first(graph: PoseGraph, edges: Ids, badness: Floats) -> Ids:
     """Return edges in the order in which to look at them: odometry last, the worst first."""
     return edges[np.lexsort((-badness[edges], odometry_edges(graph)[edges]))]
-
-
-def without_remedy(description: str) -> str:
-    """Return what `describe_outliers` says of the edges, without what to do about it."""
-    return description.partition(_PROBABLY)[0]
-
-
-def is_description(note: str) -> bool:
-    """Whether `describe_outliers` wrote a note."""
-    return _REMEDY in note
 
 
 def _reduced(graph: PoseGraph, chi2: float) -> float:

@@ -22,10 +22,9 @@ from masat.optimizers.losses import EdgeLoss, Loss
 from masat.optimizers.termination import Report
 from masat.outliers import (
     Minimum,
+    Suspicion,
     cannot_be_right,
     describe_outliers,
-    is_description,
-    without_remedy,
 )
 from masat.progress import Progress, ReportStage
 from masat.robust import decide
@@ -206,19 +205,21 @@ def solve(
         certificate = certified(result.graph, search=False, progress=progress, equations=equations)
         if decision is not None:
             message = f"{certificate.message}; this is said of the edges that were kept"
-            caveat = certificate.caveat and without_remedy(certificate.caveat)
+            caveat = certificate.caveat
+            if isinstance(caveat, Suspicion):
+                caveat = caveat.contradiction
             certificate = replace(certificate, message=message, caveat=caveat)
-    doubted = any(is_description(note) for note in guess.notes)
+    doubted = any(isinstance(note, Suspicion) for note in guess.notes)
     if is_plain and (doubted or result.converged):
         known: Minimum = "searched" if init in SEARCHES else "any"
         if certificate is not None and certificate.certified:
             known = "global"
-        notes = [note for note in guess.notes if not is_description(note)]
+        notes = [note for note in guess.notes if not isinstance(note, Suspicion)]
         notes += describe_outliers(_solved(assembly, result), known)
         result = replace(result, graph=replace(result.graph, notes=tuple(notes)))
     if decision is not None:
         # What was decided is not to be doubted in words that suggest to decide it.
-        notes = [note for note in result.graph.notes if not is_description(note)]
+        notes = [note for note in result.graph.notes if not isinstance(note, Suspicion)]
         notes += decision.notes
         result = replace(result, graph=replace(result.graph, notes=tuple(notes)))
     for note in result.graph.notes:

@@ -15,7 +15,7 @@ from masat.formats import format_of, write
 from masat.graph import PoseGraph
 from masat.optimality.certificate import Certificate
 from masat.optimizers import Result
-from masat.outliers import is_description
+from masat.outliers import Suspicion
 from masat.solver import solve as solved
 
 
@@ -122,7 +122,7 @@ def solve(
         )
     if not quiet:
         notes = result.graph.notes[len(graph.notes) :]
-        options.notes([n for n in notes if not (stages.has_warned and is_description(n))])
+        options.notes([n for n in notes if not (stages.has_warned and isinstance(n, Suspicion))])
     if out is not None:
         write(result.graph, out)
     if rejected is not None:

@@ -107,7 +107,7 @@ def judge(
         if progress.over or (len(outlying) == 0 and not back.any()):
             break
         if len(outlying):
-            kept[_worse_half(outlying, distance / limit)] = False
+            kept[_worst(outlying, distance / limit, graph.edge_indices[outlying, 1])] = False
         else:
             returns[back] += 1
             kept |= back
@@ -138,9 +138,19 @@ def _compared(
     return graph, np.maximum(distance, np.where(kept, np.square(white).sum(axis=1), 0.0))
 
 
-def _worse_half(outlying: Ids, badness: Floats) -> Ids:
+def _worst(outlying: Ids, badness: Floats, nodes: Ids) -> Ids:
+    """Return the worse half of the outlying measurements, and of each node at most the worse half.
+
+    One that is far off makes the honest ones of its landmark outlying, too.
+    """
     order = np.argsort(-badness[outlying], kind="stable")
-    return outlying[order[: (len(order) + 1) // 2]]
+    worse = order[: (len(order) + 1) // 2]
+    by_node = order[np.argsort(nodes[order], kind="stable")]
+    _, start, inverse, count = np.unique(
+        nodes[by_node], return_index=True, return_inverse=True, return_counts=True
+    )
+    within = np.arange(len(by_node)) - start[inverse] < (count[inverse] + 1) // 2
+    return outlying[np.intersect1d(worse, by_node[within])]
 
 
 def _ranks_and_kinds(assembly: Assembly, judged: Flags) -> tuple[Ids, Ids]:
