@@ -146,7 +146,7 @@ class _Peer:
             if self._d == 2:
                 factors.add(gtsam.CustomFactor(noise, [a, b], self._error(a, b, z)))
                 continue
-            factors.add(gtsam.ReferenceFrameFactorPoint3Pose3(b, a, own, half))
+            factors.add(gtsam.ReferenceFrameFactorPoint3Pose3(own, a, b, half))
             factors.add(gtsam.PriorFactorPoint3(own, z, half))
             more.insert(own, z)
             own += 1

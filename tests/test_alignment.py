@@ -47,6 +47,16 @@ def test_any_motion_is_found_although_a_third_of_the_matches_is_wrong(d, seed):
     assert np.abs(lie.local(motion, found)[d:]).max() < 1e-3
 
 
+def test_many_matches_of_which_a_third_lies_in_another_frame():
+    rng = np.random.default_rng(0)
+    motion, other = random_pose(rng, 2), random_pose(rng, 2)
+    points = rng.normal(size=(900, 2)) * 100
+    targets = lie.compose(motion, poses_at(points))[:, :2]
+    targets[::3] = lie.compose(other, poses_at(points[::3]))[:, :2]
+    targets += rng.normal(size=targets.shape) * 0.01
+    assert_allclose(lie.local(motion, rigid_motion(matches_of(points, targets))), 0, atol=0.01)
+
+
 def test_half_a_turn_between_the_frames_is_no_special_case():
     points = np.array([[0.0, 0], [1, 0], [0, 2], [5, 1]])
     found = rigid_motion(matches_of(points, -points + [7, 3]))

@@ -72,6 +72,40 @@ def test_a_certificate_holds_with_fixes_as_without(data_dir):
     assert not wrong.certified
 
 
+def test_a_certificate_holds_far_from_the_origin(data_dir):
+    # Rounding of coordinates of ten kilometers hides a gap of 2e-5 of chi2.
+    graph = masat.read(data_dir / "2d/input_INTEL_g2o.g2o")
+    fixed, _ = with_fixes(graph, masat.solve(graph).poses, np.array([1e4, -7e3, 2]))
+    result = masat.solve(fixed, certify=True)
+    assert result.certificate.certified
+    turned = lie.compose(np.array([0.0, 0, 0.1]), result.poses)
+    refuted = masat.certify(result.graph.with_poses(turned), search=False)
+    assert refuted.status == "refuted"
+    assert_allclose(refuted.better.poses, result.poses, atol=1e-4)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_an_unmeasured_rotation_of_half_a_turn_is_no_saddle(d):
+    # All poses are half a turn from the axes of the world, which position fixes do not see.
+    rng = np.random.default_rng(d)
+    half = np.array([0, 0, np.pi]) if d == 2 else np.array([0, 0, 0, 0, 0, 1.0, 0])
+    poses = np.tile(half, (30, 1))
+    poses[:, :d] = np.cumsum(rng.normal(size=(30, d)), axis=0)
+    edges = np.column_stack([np.arange(29), np.arange(1, 30)])
+    z = lie.between(poses[:-1], poses[1:])
+    z = lie.retract(z, rng.normal(size=(29, lie.DOF[d])) * 0.01)
+    fixes = masat.gps(range(30), poses[:, :d] + rng.normal(size=(30, d)) * 0.1, 0.1)
+    graph = masat.PoseGraph.from_arrays(edges, z, poses=poses, priors=fixes)
+    there = lie.inverse(half)
+    moved = masat.gps(
+        range(30), lie.compose(there, poses_at(fixes.measurements[:, :d]))[:, :d], 0.1
+    )
+    same = graph.with_poses(lie.compose(there, poses)).with_priors(moved)
+    first, second = (masat.optimize(g, "gauss_newton") for g in (graph, same))
+    assert first.iterations == second.iterations
+    assert_allclose(first.chi2, second.chi2, rtol=1e-9)
+
+
 def test_a_third_of_wrong_fixes_has_no_weight_under_a_robust_loss(data_dir):
     graph = masat.read(data_dir / GRAPHS[0])
     alone = masat.solve(graph)

@@ -10,15 +10,16 @@ import numpy as np
 from masat import _core, lie
 from masat.arrays import Flags, Floats, Ids
 
-# Random subsets from which a motion is computed. If a third of the positions is wrong, a subset of
-# three is right with probability 8/27: all of 100 are wrong with less than 1e-15.
-_SUBSETS = 100
+# Random subsets from which a motion is computed, in 2D and 3D. If a third of the positions is
+# wrong, a subset of two is right with probability 4/9 and one of three with 8/27: all are wrong
+# with less than 1e-8.
+_SUBSETS = {2: 32, 3: 60}
 # Fraction of the residuals, the smallest ones, that decide between motions.
 _TRIMMED = 0.6
 # Steps that take the motion of those residuals again, and how many candidates take all of them.
 _FIRST_STEPS, _LAST_STEPS, _CANDIDATES = 2, 20, 5
 # The search uses this many matches at most; those that agree are then found among all.
-_MAX_SEARCHED = 100
+_MAX_SEARCHED = 60
 # A step that lowers the sum of those residuals by a smaller fraction is the last one.
 _LEAST_DECREASE = 0.01
 # Residuals beyond this multiple of the median of the best motion do not count. The search for it
@@ -71,10 +72,13 @@ class Matches:
     def residuals(self, motions: Motions) -> Floats:
         """Return the weighted squares of all residuals at some motions, (s, p + r)."""
         rotation, translation = motions
-        off = self.positions @ rotation.transpose(0, 2, 1) + translation[:, None] - self.targets
-        of_positions = self.position_weights * np.einsum("spi,spi->sp", off, off)
+        distance = np.zeros((len(rotation), len(self.positions)))
+        for k in range(rotation.shape[1]):
+            off = rotation[:, k] @ self.positions.T + translation[:, k, None] - self.targets[:, k]
+            distance += off * off
+        of_positions = self.position_weights * distance
         if len(self.rotations) == 0:
-            return np.asarray(of_positions)
+            return of_positions
         turned = rotation[:, None] @ self.rotations - self.target_rotations
         of_rotations = self.rotation_weights * np.square(turned).sum(axis=(2, 3))
         return np.concatenate([of_positions, of_rotations], axis=1)
@@ -188,13 +192,14 @@ def _trials(matches: Matches) -> Motions:
     p, d = matches.positions.shape
     r = len(matches.rotations)
     rng = np.random.default_rng(0)
-    which = np.zeros((_SUBSETS, p + r), np.bool_)
-    every = np.arange(_SUBSETS)
+    count = _SUBSETS[d]
+    which = np.zeros((count, p + r), np.bool_)
+    every = np.arange(count)
     if p:
         for _ in range(d if p >= d else 1):
-            which[every, rng.integers(p, size=_SUBSETS)] = True
+            which[every, rng.integers(p, size=count)] = True
     if r and p < d:
-        which[every, p + rng.integers(r, size=_SUBSETS)] = True
+        which[every, p + rng.integers(r, size=count)] = True
     return _motions(matches, which)
 
 
@@ -203,14 +208,12 @@ def _improved(matches: Matches, motions: Motions, kept: int, steps: int) -> Moti
     before = np.inf
     for _ in range(steps):
         residuals = matches.residuals(motions)
-        smallest = np.argpartition(residuals, kept - 1, axis=1)[:, :kept]
-        now = float(np.take_along_axis(residuals, smallest, axis=1).sum())
+        smallest = np.partition(residuals, kept - 1, axis=1)[:, :kept]
+        now = float(smallest.sum())
         if now >= before * (1 - _LEAST_DECREASE):
             break
         before = now
-        which = np.zeros(residuals.shape, np.bool_)
-        np.put_along_axis(which, smallest, True, axis=1)
-        motions = _motions(matches, which)
+        motions = _motions(matches, residuals <= smallest[:, -1:])
     return motions
 
 

@@ -204,6 +204,23 @@ def assemble(graph: PoseGraph) -> Assembly:
     return out.at(out.placed(graph.poses, graph.points))
 
 
+def translated(graph: PoseGraph, by: Floats) -> PoseGraph:
+    """Return a graph with its poses, landmarks and priors moved by a translation, (d,)."""
+
+    def moved(rows: Floats) -> Floats:
+        out = rows.copy()
+        out[:, : graph.dimension] += by
+        return out
+
+    out = graph if graph.poses is None else graph.with_poses(moved(graph.poses))
+    if graph.points is not None:
+        out = out.with_points(graph.points + by)
+    if graph.priors is not None:
+        priors = replace(graph.priors, measurements=moved(graph.priors.measurements))
+        out = replace(out, priors=priors)
+    return out
+
+
 def relative_part(graph: PoseGraph) -> PoseGraph:
     """Return the graph of the poses and of those edges that determine a relative pose in full."""
     if not graph.has_partial_edges:

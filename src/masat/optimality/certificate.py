@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 from masat import _core
-from masat.assembly import assemble, needs_assembly
+from masat.assembly import AssembledGraph, assemble, needs_assembly, translated
 from masat.determinacy import undetermined, with_undetermined_kept
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
@@ -20,6 +20,8 @@ from masat.progress import Progress
 
 # Times the chi2 that the rounding of coordinates makes: chi2 below it is zero to rounding.
 _ZERO = 100.0
+# Steps of Gauss-Newton to where not even rounding lets chi2 fall.
+_LAST_STEPS = 3
 # chi2 of rounding, for each measured number, above which it is more than rounding.
 _MAX_ROUNDING = 1e-12
 
@@ -160,9 +162,12 @@ def _certify_assembly(
     graph: PoseGraph, search: bool, seed: int, threads: int | None, progress: Progress
 ) -> Certificate:
     """Certify a graph with priors, landmarks or partial edges."""
-    assembly = assemble(graph)
-    if assembly.graph.poses is None:
+    if graph.landmarks is not None and graph.points is None:
         raise OptimizationError("the landmarks have no positions: there is nothing to certify")
+    assert graph.poses is not None
+    # Fixes are often kilometers from the origin, where rounding hides what has to be proven.
+    middle = graph.poses[:, : graph.dimension].mean(axis=0)
+    assembly = assemble(translated(graph, -middle))
     if not all(freedom.exact for freedom in undetermined(assembly)):
         message = "not decided: chi2 hardly depends on directions that nothing determines"
         return Certificate("undecided", message, graph.chi2, 0.0, graph.chi2, None)
@@ -170,7 +175,7 @@ def _certify_assembly(
     found = certify(complete, search=search, seed=seed, threads=threads, progress=progress)
     better = None
     if found.better is not None and found.better.poses is not None:
-        better = assembly.disassembled(found.better.poses)
+        better = translated(assembly.disassembled(found.better.poses), middle)
     return replace(found, better=better)
 
 
@@ -198,6 +203,8 @@ def _certify(
     first, bound, trouble = best.chi2, 0.0, ""
     try:
         bound = chi2_bound(best.graph, best.chi2)
+        if isinstance(graph, AssembledGraph) and not proven(best) and not progress.over:
+            best, bound = _nearer(best, bound, equations, progress)
         if search and not proven(best) and not progress.over:
             progress.tell("bounding chi2 at a higher rank", best.chi2)
             higher, rounded = lifted_bound(best.graph, best.chi2, seed=seed)
@@ -237,3 +244,22 @@ def _certify(
     if caveat is not None:
         message += "; the map may be wrong all the same, since edges contradict it"
     return Certificate(status, message, initial, bound, min(best.chi2, initial), better, caveat)
+
+
+def _nearer(
+    best: Result, bound: float, equations: _core.NormalEquations, progress: Progress
+) -> tuple[Result, float]:
+    """Return a minimum, and the bound there, after steps that change chi2 by rounding alone.
+
+    Soft modes, as a map turns about its fixes, may still be off the minimum by more than the bound
+    can bear when chi2 shows it no more.
+    """
+    steps = optimize(
+        best.graph,
+        "gauss_newton",
+        relative_tolerance=0.0,
+        max_iterations=_LAST_STEPS,
+        equations=equations,
+        progress=progress,
+    )
+    return steps, max(bound, chi2_bound(steps.graph, steps.chi2))
