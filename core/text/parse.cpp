@@ -165,17 +165,30 @@ constexpr int dof_of(int dimension) { return dimension == 2 ? 3 : 6; }
 constexpr bool is_position(PoseText pose) {
   return pose == PoseText::kXY || pose == PoseText::kXYZ;
 }
+constexpr bool is_range_bearing(PoseText pose) {
+  return pose == PoseText::kBearing || pose == PoseText::kRangeBearing ||
+         pose == PoseText::kRangeBearingElevation;
+}
 constexpr int dimension_of(PoseText pose) {
-  return pose == PoseText::kXYTheta || pose == PoseText::kXY ? 2 : 3;
+  switch (pose) {
+    case PoseText::kXYTheta:
+    case PoseText::kXY:
+    case PoseText::kBearing:
+    case PoseText::kRangeBearing:
+      return 2;
+    default:
+      return 3;
+  }
 }
 constexpr int width_of(PoseText pose) {
   if (pose == PoseText::kMatrix) return 12;
-  if (is_position(pose)) return dimension_of(pose);
+  if (pose == PoseText::kBearing) return 1;
+  if (is_position(pose) || is_range_bearing(pose)) return dimension_of(pose);
   return pose == PoseText::kXYTheta ? 3 : pose == PoseText::kXYZRPY ? 6 : 7;
 }
 // Rows of the information that a line has.
 constexpr int rows_of(PoseText pose) {
-  return is_position(pose) ? dimension_of(pose) : dof_of(dimension_of(pose));
+  return is_position(pose) || is_range_bearing(pose) ? width_of(pose) : dof_of(dimension_of(pose));
 }
 constexpr const char* words_of(PoseText pose) {
   switch (pose) {
@@ -189,6 +202,12 @@ constexpr const char* words_of(PoseText pose) {
       return "x y";
     case PoseText::kXYZ:
       return "x y z";
+    case PoseText::kBearing:
+      return "bearing";
+    case PoseText::kRangeBearing:
+      return "range bearing";
+    case PoseText::kRangeBearingElevation:
+      return "range bearing elevation";
     default:
       return "x y z qx qy qz qw";
   }
@@ -379,6 +398,7 @@ class Parser {
     if (record.pose == PoseText::kXYZQuat && v[3] == 0 && v[4] == 0 && v[5] == 0 && v[6] == 0) {
       line.fail("the quaternion is zero: no rotation; expected qx qy qz qw of unit length");
     }
+    if (record.pose == PoseText::kBearing) to.push_back(0);  // the range, not measured
     to.insert(to.end(), v, v + width_of(record.pose));
   }
 
@@ -452,10 +472,15 @@ class Parser {
     out_.observation_parameters.push_back(record.parameter ? integer(line, record) : -1);
     numbers(line, record, width_of(record.pose));
     pose(line, record, out_.observations);
-    if (record.pose == PoseText::kXY) {
-      information<2>(line, record, out_.observation_information);
+    out_.observation_range_bearing.push_back(is_range_bearing(record.pose));
+    std::vector<double>& w = out_.observation_information;
+    if (record.pose == PoseText::kBearing) {
+      w.insert(w.end(), 3, 0.0);
+      information<1>(line, record, w);
+    } else if (dimension_of(record.pose) == 2) {
+      information<2>(line, record, w);
     } else {
-      information<3>(line, record, out_.observation_information);
+      information<3>(line, record, w);
     }
     end_of(line, record);
   }

@@ -26,7 +26,16 @@ from masat.formats import read, read_links, write
 from masat.geodesy import east_north_up
 from masat.graph import PoseGraph
 from masat.initializers import initialize
-from masat.measurements import Landmarks, Priors, altitudes, gps, headings, landmarks, pose_priors
+from masat.measurements import (
+    Landmarks,
+    Priors,
+    altitudes,
+    gps,
+    headings,
+    landmarks,
+    pose_priors,
+    range_bearing,
+)
 from masat.merging import merge
 from masat.optimality.certificate import Certificate, certify
 from masat.optimizers import Iteration, Result, StopReason, optimize
@@ -68,6 +77,7 @@ __all__ = [
     "optimize",
     "plot",
     "pose_priors",
+    "range_bearing",
     "read",
     "read_links",
     "relative_covariances",

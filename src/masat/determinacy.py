@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from masat import _core
+from masat import _core, lie
 from masat.arrays import Flags, Floats, Indices
 from masat.assembly import Assembly
 from masat.errors import OptimizationError
+from masat.graph import PoseGraph
 from masat.residuals import residuals
 from masat.structure import eliminate
 
@@ -256,8 +257,23 @@ def _jacobians(assembly: Assembly, center: Floats, rows: Flags) -> tuple[Floats,
                 at = _core.rotation_matrices(np.ascontiguousarray(graph.sensor_offsets[rows]))
                 own = at.transpose(0, 2, 1) @ own
             jacobian[:, 3:, 3:] = sign / 2 * mixed @ own
+        if graph.range_bearing_edges is not None:
+            polar = graph.range_bearing_edges[rows]
+            jacobian[polar, :d] = _by_position(graph, rows, polar) @ jacobian[polar, :d]
         out.append(jacobian)
     return out[0], out[1]
+
+
+def _by_position(graph: PoseGraph, rows: Flags, polar: Flags) -> Floats:
+    """Return the derivatives of ranges and bearings by the position ahead of the measured pose."""
+    assert graph.poses is not None
+    d = graph.dimension
+    i, j = graph.edge_indices[rows][polar].T
+    z = graph.measurements[rows][polar]
+    ranges = np.sqrt(np.square(z[:, :d]).sum(axis=1))
+    z[:, :d] = 0
+    ahead = lie.between(lie.compose(graph.poses[i], z), graph.poses[j])[:, :d]
+    return _core.range_bearing_errors(np.ascontiguousarray(ahead), ranges)[1]
 
 
 def _rotating(levers: Floats) -> Floats:

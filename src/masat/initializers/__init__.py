@@ -8,6 +8,7 @@ from typing import Protocol
 
 from masat import _core
 from masat.assembly import Assembly, assemble, needs_assembly
+from masat.determinacy import with_undetermined_kept
 from masat.errors import InitializationError, MasatWarning
 from masat.graph import PoseGraph
 from masat.initializers.auto import auto
@@ -19,10 +20,11 @@ from masat.initializers.lifted import lifted
 from masat.initializers.masat import masat
 from masat.initializers.most_informed_first import most_informed_first
 from masat.initializers.odometry import odometry
-from masat.initializers.placing import given_assembly, placed_assembly
+from masat.initializers.placing import given_assembly, note_of_components, placed_assembly
 from masat.initializers.spanning_tree import spanning_tree
 from masat.initializers.spectral import spectral
 from masat.initializers.toro import toro
+from masat.initializers.triangulation import as_positions, with_points
 from masat.optimality.best import best_minimum
 from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
@@ -153,15 +155,58 @@ def guess_of_assembly(
         raise InitializationError(
             f"unknown initial guess {method!r}; known: {', '.join(INITIALIZERS)}"
         )
+    seen = assembly.source.landmarks
+    if seen is not None and seen.range_bearing is not None:
+        assembly, notes = _with_positions_found(assembly, method, seed, progress, threads)
+        placed, kept = with_undetermined_kept(assembly)
+        notes += note_of_components(assembly.source) + kept
+        return placed.with_notes(notes), normal_equations(placed.graph, threads)
+    placed, notes, kept, equations = _placed(assembly, method, seed, progress, threads)
+    if method != "given":
+        notes = [*note_of_components(assembly.source), *notes]
+    return placed.with_notes([*notes, *kept]), equations
+
+
+def _placed(
+    assembly: Assembly,
+    method: str,
+    seed: int,
+    progress: Progress | None,
+    threads: int | None,
+) -> tuple[Assembly, list[str], list[str], _core.NormalEquations]:
+    """Return an assembly with poses, notes of the guess, what is not determined, and equations."""
     if method == "given":
-        placed, notes = given_assembly(assembly)
-    else:
-        first = chordal if method in SEARCHES else INITIALIZERS[method]
-        placed, notes = placed_assembly(assembly, first)
-    graph = placed.graph
-    assert graph.poses is not None
-    poses, equations = graph.poses, normal_equations(graph, threads)
+        placed, kept = given_assembly(assembly)
+        return placed, [], kept, normal_equations(placed.graph, threads)
+    first = chordal if method in SEARCHES else INITIALIZERS[method]
+    placed, notes, kept = placed_assembly(assembly, first)
+    equations = normal_equations(placed.graph, threads)
     if method in SEARCHES:
-        found = best_minimum(graph, seed=seed, progress=progress, equations=equations)
-        poses, notes = found.poses, [*notes, *found.notes]
-    return replace(placed, graph=graph.with_poses(poses, notes=notes)), equations
+        found = best_minimum(placed.graph, seed=seed, progress=progress, equations=equations)
+        placed, notes = placed.at(found.poses), [*notes, *found.notes]
+    return placed, notes, kept, equations
+
+
+def _with_positions_found(
+    assembly: Assembly,
+    method: str,
+    seed: int,
+    progress: Progress | None,
+    threads: int | None,
+) -> tuple[Assembly, list[str]]:
+    """Return an assembly with ranges and bearings with poses and points, and notes of the guess."""
+    source = assembly.source
+    if method == "given" and source.points is not None:
+        return given_assembly(assembly)[0], []
+    in_positions = source.with_priors(None).with_landmarks(as_positions(source))
+    in_positions = in_positions.with_priors(source.priors)
+    known, notes, _, _ = _placed(assemble(in_positions), method, seed, progress, threads)
+    assert known.graph.poses is not None
+    guess, more = with_points(source, known.disassembled(known.graph.poses))
+    parts = int(in_positions.components.max()) - int(source.components.max())
+    if parts > 0:
+        notes.append(
+            f"{parts + 1} parts of the graph are joined by bearings alone or ranges alone: how they "
+            "lie to each other is arbitrary in the initial guess"
+        )
+    return assemble(guess), notes + more

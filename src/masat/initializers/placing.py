@@ -25,8 +25,10 @@ from masat.optimizers.translations import solve_translations
 
 def placed_assembly(
     assembly: Assembly, method: Callable[[PoseGraph], PoseGraph]
-) -> tuple[Assembly, list[str]]:
+) -> tuple[Assembly, list[str], list[str]]:
     """Return the assembly with poses of all nodes, complete with what is not determined, and notes.
+
+    The first notes are those of the guess, the others say what is not determined.
 
     Parameters
     ----------
@@ -44,12 +46,11 @@ def placed_assembly(
     notes = [n for n in guess.notes if n not in source.notes and "each placed in a frame" not in n]
     placing = _Placing(assembly, guess.poses)
     placing.run()
-    notes += _note_of_components(source)
     complete, more = with_undetermined_kept(assembly.at(placing.poses))
     if placing.moved_as_one:
         # The first step of an optimizer improves the translations as much.
-        return complete, notes + more
-    return _with_better_translations(complete), notes + more
+        return complete, notes, more
+    return _with_better_translations(complete), notes, more
 
 
 def given_assembly(assembly: Assembly) -> tuple[Assembly, list[str]]:
@@ -200,7 +201,8 @@ def _position_weights(information: Floats, isotropic: Floats) -> Floats:
     return out
 
 
-def _note_of_components(graph: PoseGraph) -> list[str]:
+def note_of_components(graph: PoseGraph) -> list[str]:
+    """Return a note if the graph has several components."""
     labels: Indices = graph.components
     count = int(labels.max()) + 1
     if count == 1:
