@@ -202,7 +202,7 @@ def _with_positions_found(
     in_positions = in_positions.with_priors(source.priors)
     known, notes, _, _ = _placed(assemble(in_positions), method, seed, progress, threads)
     assert known.graph.poses is not None
-    guess, more = with_points(source, known.disassembled(known.graph.poses))
+    guess, more = with_points(source, known.disassembled(known.graph.poses), progress)
     parts = int(in_positions.components.max()) - int(source.components.max())
     if parts > 0:
         notes.append(

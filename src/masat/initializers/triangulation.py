@@ -3,7 +3,8 @@
 An observation of range and bearing becomes one of the position: that is the same to first order,
 and every initializer can use it. Landmarks of which bearings alone or ranges alone were measured
 are placed at fixed poses: several candidates are moved to the nearest minimum of their own
-residuals, and the best is taken.
+residuals, and the best is taken. Drift of the poses misplaces some of them, but few enough that a
+map that fits the others shows where they are.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ import numpy as np
 from masat import _core
 from masat.arrays import Flags, Floats, Ids
 from masat.graph import PoseGraph
-from masat.information import partial
+from masat.information import degrees_of_freedom, partial
 from masat.measurements import Landmarks
+from masat.optimizers import optimize
+from masat.progress import Progress
 from masat.residuals import directions, measured_poses, observation_errors
 
 # Steps of a candidate, and the damping at which they begin, as a fraction of the information.
@@ -32,6 +35,10 @@ _ELSEWHERE = 100.0
 # Rays are followed over so many steps of odometry where no range tells how far.
 _USUAL_STEPS = 10.0
 _MAX_NOTES = 5
+# The losses of the maps after each of which the landmarks are placed again, and their iterations.
+_LOSSES, _ITERATIONS = (None, None, "cauchy", None), 30
+# chi2 of a good map is within so many standard deviations of its mean.
+_PLAUSIBLE = 5.0
 
 
 def as_positions(graph: PoseGraph) -> Landmarks | None:
@@ -72,8 +79,12 @@ def as_positions(graph: PoseGraph) -> Landmarks | None:
     )
 
 
-def with_points(graph: PoseGraph, known: PoseGraph) -> tuple[PoseGraph, list[str]]:
+def with_points(
+    graph: PoseGraph, known: PoseGraph, progress: Progress | None = None
+) -> tuple[PoseGraph, list[str]]:
     """Return a graph of which poses are known with positions of all its landmarks, and notes.
+
+    Where some landmarks had to be triangulated, the poses are improved with them.
 
     Parameters
     ----------
@@ -81,6 +92,8 @@ def with_points(graph: PoseGraph, known: PoseGraph) -> tuple[PoseGraph, list[str
         The graph.
     known : PoseGraph
         The same with poses, and with positions of those landmarks that `as_positions` left.
+    progress : Progress, optional
+        What limits the time.
     """
     seen = graph.landmarks
     assert seen is not None
@@ -88,12 +101,33 @@ def with_points(graph: PoseGraph, known: PoseGraph) -> tuple[PoseGraph, list[str
     points = np.zeros((len(seen), d)) if seen.positions is None else seen.positions.copy()
     if known.points is not None:
         points[np.searchsorted(seen.ids, known.point_ids)] = known.points
+    assert known.poses is not None
+    guess = graph.with_poses(known.poses).with_points(points)
     loose = _loose(graph)
-    notes: list[str] = []
-    if loose.any():
-        assert known.poses is not None
-        points[loose], notes = _Triangulation(graph, known.poses, loose).positions()
-    return graph.with_poses(known.poses).with_points(points), notes
+    if not loose.any():
+        return guess, []
+    guess, notes = _triangulated(guess, loose)
+    best, freedom = guess, degrees_of_freedom(guess)
+    for loss in _LOSSES:
+        if progress is not None and progress.over:
+            break
+        fit = optimize(guess, loss=loss, max_iterations=_ITERATIONS, progress=progress)
+        assert fit.graph.points is not None
+        moved = guess.with_poses(fit.poses).with_points(fit.graph.points)
+        guess, found = _triangulated(moved, loose)
+        if guess.chi2 < best.chi2:
+            best, notes = guess, found
+        if best.chi2 < freedom + _PLAUSIBLE * np.sqrt(2 * max(freedom, 1)):
+            break
+    return best, notes
+
+
+def _triangulated(graph: PoseGraph, loose: Flags) -> tuple[PoseGraph, list[str]]:
+    """Return the graph with some of its landmarks placed at its poses, and notes."""
+    assert graph.points is not None
+    points = graph.points.copy()
+    points[loose], notes = _Triangulation(graph, loose).positions()
+    return graph.with_points(points), notes
 
 
 def _loose(graph: PoseGraph) -> Flags:
@@ -114,9 +148,10 @@ def _loose(graph: PoseGraph) -> Flags:
 class _Triangulation:
     """Landmarks that no single observation places, and what is seen of them from known poses."""
 
-    def __init__(self, graph: PoseGraph, poses: Floats, loose: Flags) -> None:
-        seen = graph.landmarks
+    def __init__(self, graph: PoseGraph, loose: Flags) -> None:
+        seen, poses = graph.landmarks, graph.poses
         assert seen is not None
+        assert poses is not None
         self._ids = seen.ids[loose]
         rows = np.isin(seen.observations[:, 1], self._ids)
         self._seen = replace(seen.observed(rows), ids=self._ids, positions=None)
