@@ -22,7 +22,7 @@ from masat.errors import (
     OptimizationError,
 )
 from masat.evaluation import Evaluation, PoseErrors, evaluate
-from masat.formats import read, read_links, write
+from masat.formats import read, read_links, read_observations, write
 from masat.geodesy import east_north_up
 from masat.graph import PoseGraph
 from masat.initializers import initialize
@@ -80,6 +80,7 @@ __all__ = [
     "range_bearing",
     "read",
     "read_links",
+    "read_observations",
     "relative_covariances",
     "sessions",
     "solve",
