@@ -30,8 +30,8 @@ def random_information(rng, n, d):
     return a @ a.transpose(0, 2, 1)
 
 
-def graph_of_everything(d, seed=0, offset=True):
-    """A graph with edges, full, partial and point priors, landmarks, and random poses of all."""
+def graph_of_everything(d, seed=0, offset=True, ranges=True):
+    """A graph with edges, all kinds of priors and of landmarks, and random poses of all."""
     rng = np.random.default_rng(seed)
     dof = lie.DOF[d]
     partial = random_information(rng, 3, dof)
@@ -46,6 +46,19 @@ def graph_of_everything(d, seed=0, offset=True):
         random_information(rng, 4, d),
         positions=rng.normal(size=(2, d)),
     )
+    if ranges:
+        directions = rng.uniform(-1.5, 1.5, size=(4, d - 1))
+        open_ = random_information(rng, 4, d)
+        open_[1, 0] = open_[1, :, 0] = 0
+        open_[2, 1:] = open_[2, :, 1:] = 0
+        seen += masat.landmarks(
+            [(0, 50), (1, 51), (3, 52), (2, 52)],
+            np.column_stack([rng.uniform(0.5, 4, 4), directions]),
+            open_,
+            ids=[50, 51, 52],
+            range_bearing=True,
+        )
+        seen = seen.with_positions(rng.normal(size=(3, d)))
     return PoseGraph.from_arrays(
         SQUARE,
         random_poses(rng, 4, d),
@@ -147,8 +160,9 @@ def test_a_lever_arm_is_where_the_antenna_is():
 
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("offset", [False, True])
-def test_the_assembled_graph_costs_the_same(d, offset):
-    graph = graph_of_everything(d, offset=offset)
+@pytest.mark.parametrize("ranges", [False, True])
+def test_the_assembled_graph_costs_the_same(d, offset, ranges):
+    graph = graph_of_everything(d, offset=offset, ranges=ranges)
     assembly = assemble(graph)
     assert_allclose(assembly.graph.chi2, graph.chi2, rtol=1e-12)
     back = assembly.disassembled(assembly.graph.poses)
@@ -157,8 +171,9 @@ def test_the_assembled_graph_costs_the_same(d, offset):
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_gradients_are_those_of_finite_differences(d):
-    graph = assemble(graph_of_everything(d)).graph
+@pytest.mark.parametrize("offset", [False, True])
+def test_gradients_are_those_of_finite_differences(d, offset):
+    graph = assemble(graph_of_everything(d, offset=offset)).graph
     equations = normal_equations(graph)
     equations.linearize(graph.poses)
     gradient = -2 * equations.rhs()
@@ -223,10 +238,12 @@ def test_edits_and_merges_carry_priors_and_landmarks():
     assert_allclose(graph.relabel({0: 100, 2: -7}).chi2, graph.chi2)
     less = graph.without_nodes(1)
     assert_array_equal(less.priors.ids, [0, 3, 50, 2])
-    assert_array_equal(less.landmarks.observations, [(0, 50), (2, 51), (3, 50)])
+    kept = [(0, 50), (2, 51), (3, 50), (0, 50), (3, 52), (2, 52)]
+    assert_array_equal(less.landmarks.observations, kept)
+    assert_array_equal(less.landmarks.range_bearing, [False] * 3 + [True] * 3)
     two = masat.merge([graph, graph])
     assert_allclose(two.chi2, 2 * graph.chi2)
-    assert_array_equal(two.point_ids, [50, 51, 1_000_050, 1_000_051])
+    assert_array_equal(two.point_ids, [50, 51, 52, 1_000_050, 1_000_051, 1_000_052])
     with pytest.raises(GraphError, match="the id 50 is that of a landmark"):
         graph.with_edges([(0, 50)], [(1, 0, 0)])
 

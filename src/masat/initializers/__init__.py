@@ -27,6 +27,7 @@ from masat.initializers.toro import toro
 from masat.initializers.triangulation import as_positions, with_points
 from masat.optimality.best import best_minimum
 from masat.optimizers.equations import normal_equations
+from masat.outliers import describe_outliers, is_description
 from masat.progress import Progress
 
 
@@ -159,6 +160,10 @@ def guess_of_assembly(
     if seen is not None and seen.range_bearing is not None:
         assembly, notes = _with_positions_found(assembly, method, seed, progress, threads)
         placed, kept = with_undetermined_kept(assembly)
+        if any(is_description(note) for note in notes):
+            # What was said of the positions may not hold for the ranges and bearings.
+            notes = [note for note in notes if not is_description(note)]
+            notes += describe_outliers(placed.graph)
         notes += note_of_components(assembly.source) + kept
         return placed.with_notes(notes), normal_equations(placed.graph, threads)
     placed, notes, kept, equations = _placed(assembly, method, seed, progress, threads)
@@ -206,7 +211,7 @@ def _with_positions_found(
     parts = int(in_positions.components.max()) - int(source.components.max())
     if parts > 0:
         notes.append(
-            f"{parts + 1} parts of the graph are joined by bearings alone or ranges alone: how they "
-            "lie to each other is arbitrary in the initial guess"
+            f"{parts + 1} parts of the graph are joined by bearings alone or ranges alone: how "
+            "they lie to each other is arbitrary in the initial guess"
         )
     return assemble(guess), notes + more

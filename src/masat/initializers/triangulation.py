@@ -251,7 +251,7 @@ class _Triangulation:
         return [np.where(count[:, None] > 0, points, otherwise) for points in out]
 
     def _refined(self, points: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return where candidates lead, their chi2 and information: Levenberg-Marquardt for each."""
+        """Return where Levenberg-Marquardt leads from candidates, chi2 and information there."""
         d = self._d
         damping = np.full(self._count, _DAMPING)
         cost, gradient, information = self._system(points)
