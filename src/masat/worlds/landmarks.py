@@ -101,7 +101,7 @@ def add_landmarks(
         seen = seen + sigma * noise
     else:
         sigmas[1:] = sigma_bearing
-        seen = _ranges_and_bearings(seen, sigmas * noise)
+        seen = ranges_and_bearings(seen, sigmas * noise)
     ids = int(graph.ids[-1]) + 1 + np.arange(count)
     return graph.with_landmarks(
         landmarks(
@@ -115,8 +115,16 @@ def add_landmarks(
     )
 
 
-def _ranges_and_bearings(points: Floats, noise: Floats) -> Floats:
-    """Return range, bearing and elevation of points, with noise along the range and across it."""
+def ranges_and_bearings(points: Floats, noise: Floats) -> Floats:
+    """Return range, bearing and in 3D elevation of points seen with noise.
+
+    Parameters
+    ----------
+    points : ndarray, (l, 2) or (l, 3)
+        In the frame of the sensor.
+    noise : ndarray, (l, 2) or (l, 3)
+        Errors of the range in meters and of the direction in radians, to the left and up.
+    """
     d = points.shape[1]
 
     def spherical(of: Floats) -> Floats:
