@@ -11,6 +11,7 @@ from masat.assembly import Assembly, assemble, needs_assembly
 from masat.determinacy import with_undetermined_kept
 from masat.errors import InitializationError, MasatWarning
 from masat.graph import PoseGraph
+from masat.information import degrees_of_freedom
 from masat.initializers.auto import auto
 from masat.initializers.cauchy import cauchy
 from masat.initializers.chordal import chordal
@@ -24,11 +25,18 @@ from masat.initializers.placing import given_assembly, note_of_components, place
 from masat.initializers.spanning_tree import spanning_tree
 from masat.initializers.spectral import spectral
 from masat.initializers.toro import toro
-from masat.initializers.triangulation import as_positions, with_points
+from masat.initializers.triangulation import as_positions, is_plausible, with_points
 from masat.optimality.best import best_minimum
+from masat.optimizers import optimize
 from masat.optimizers.equations import normal_equations
 from masat.outliers import describe_outliers, is_description
 from masat.progress import Progress
+
+# Operations of a factorization above which a minimum of plausible chi2 is not searched further: with
+# bearings much more exact than ranges, or less, the proof that it is the lowest mostly fails.
+_EXPENSIVE = 1e9
+# The change of chi2 that is near enough to a minimum of the positions for a guess.
+_TOLERANCE = 1e-4
 
 
 class Initializer(Protocol):
@@ -205,7 +213,18 @@ def _with_positions_found(
         return given_assembly(assembly)[0], []
     in_positions = source.with_priors(None).with_landmarks(as_positions(source))
     in_positions = in_positions.with_priors(source.priors)
-    known, notes, _, _ = _placed(assemble(in_positions), method, seed, progress, threads)
+    positions = assemble(in_positions)
+    expensive = positions.graph.elimination.operations(source.dof) > _EXPENSIVE
+    first = "chordal" if expensive and method in SEARCHES else method
+    known, notes, _, equations = _placed(positions, first, seed, progress, threads)
+    if first != method:
+        fit = optimize(
+            known.graph, relative_tolerance=_TOLERANCE, progress=progress, equations=equations
+        )
+        known = known.at(fit.poses)
+        if not is_plausible(fit.chi2, degrees_of_freedom(in_positions)):
+            found = best_minimum(known.graph, seed=seed, progress=progress, equations=equations)
+            known, notes = known.at(found.poses), [*notes, *found.notes]
     assert known.graph.poses is not None
     guess, more = with_points(source, known.disassembled(known.graph.poses), progress)
     parts = int(in_positions.components.max()) - int(source.components.max())

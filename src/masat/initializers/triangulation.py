@@ -107,9 +107,9 @@ def with_points(
     if not loose.any():
         return guess, []
     guess, notes = _triangulated(guess, loose)
-    best, freedom = guess, degrees_of_freedom(guess)
+    best, freedom = guess, degrees_of_freedom(guess) + _unmeasured(seen, loose)
     for loss in _LOSSES:
-        if progress is not None and progress.over:
+        if is_plausible(best.chi2, freedom) or (progress is not None and progress.over):
             break
         fit = optimize(guess, loss=loss, max_iterations=_ITERATIONS, progress=progress)
         assert fit.graph.points is not None
@@ -117,9 +117,20 @@ def with_points(
         guess, found = _triangulated(moved, loose)
         if guess.chi2 < best.chi2:
             best, notes = guess, found
-        if best.chi2 < freedom + _PLAUSIBLE * np.sqrt(2 * max(freedom, 1)):
-            break
     return best, notes
+
+
+def is_plausible(chi2: float, freedom: int) -> bool:
+    """Whether chi2 of a map is that of a good one, given its degrees of freedom."""
+    return bool(chi2 < freedom + _PLAUSIBLE * np.sqrt(2 * max(freedom, 1)))
+
+
+def _unmeasured(seen: Landmarks, loose: Flags) -> int:
+    """Return how many coordinates of some landmarks their observations are too few to determine."""
+    at = np.searchsorted(seen.ids, seen.observations[:, 1])
+    ranks = np.linalg.matrix_rank(seen.information, hermitian=True)
+    measured = np.bincount(at, ranks, len(seen))[loose]
+    return int(np.maximum(seen.dimension - measured, 0).sum())
 
 
 def _triangulated(graph: PoseGraph, loose: Flags) -> tuple[PoseGraph, list[str]]:
