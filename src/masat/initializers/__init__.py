@@ -32,8 +32,8 @@ from masat.optimizers.equations import normal_equations
 from masat.outliers import describe_outliers, is_description
 from masat.progress import Progress
 
-# Operations of a factorization above which a minimum of plausible chi2 is not searched further: with
-# bearings much more exact than ranges, or less, the proof that it is the lowest mostly fails.
+# Operations of a factorization above which the search does not go on from a minimum of plausible
+# chi2: with bearings much more exact than ranges, or less, the proof that it is the lowest fails.
 _EXPENSIVE = 1e9
 # The change of chi2 that is near enough to a minimum of the positions for a guess.
 _TOLERANCE = 1e-4

@@ -103,18 +103,18 @@ def with_points(
         points[np.searchsorted(seen.ids, known.point_ids)] = known.points
     assert known.poses is not None
     guess = graph.with_poses(known.poses).with_points(points)
-    loose = _loose(graph)
-    if not loose.any():
+    chosen = _to_triangulate(graph)
+    if not chosen.any():
         return guess, []
-    guess, notes = _triangulated(guess, loose)
-    best, freedom = guess, degrees_of_freedom(guess) + _unmeasured(seen, loose)
+    guess, notes = _triangulated(guess, chosen)
+    best, freedom = guess, degrees_of_freedom(guess) + _unmeasured(seen, chosen)
     for loss in _LOSSES:
         if is_plausible(best.chi2, freedom) or (progress is not None and progress.over):
             break
         fit = optimize(guess, loss=loss, max_iterations=_ITERATIONS, progress=progress)
         assert fit.graph.points is not None
         moved = guess.with_poses(fit.poses).with_points(fit.graph.points)
-        guess, found = _triangulated(moved, loose)
+        guess, found = _triangulated(moved, chosen)
         if guess.chi2 < best.chi2:
             best, notes = guess, found
     return best, notes
@@ -125,23 +125,23 @@ def is_plausible(chi2: float, freedom: int) -> bool:
     return bool(chi2 < freedom + _PLAUSIBLE * np.sqrt(2 * max(freedom, 1)))
 
 
-def _unmeasured(seen: Landmarks, loose: Flags) -> int:
+def _unmeasured(seen: Landmarks, chosen: Flags) -> int:
     """Return how many coordinates of some landmarks their observations are too few to determine."""
     at = np.searchsorted(seen.ids, seen.observations[:, 1])
     ranks = np.linalg.matrix_rank(seen.information, hermitian=True)
-    measured = np.bincount(at, ranks, len(seen))[loose]
+    measured = np.bincount(at, ranks, len(seen))[chosen]
     return int(np.maximum(seen.dimension - measured, 0).sum())
 
 
-def _triangulated(graph: PoseGraph, loose: Flags) -> tuple[PoseGraph, list[str]]:
+def _triangulated(graph: PoseGraph, chosen: Flags) -> tuple[PoseGraph, list[str]]:
     """Return the graph with some of its landmarks placed at its poses, and notes."""
     assert graph.points is not None
     points = graph.points.copy()
-    points[loose], notes = _Triangulation(graph, loose).positions()
+    points[chosen], notes = _Triangulation(graph, chosen).positions()
     return graph.with_points(points), notes
 
 
-def _loose(graph: PoseGraph) -> Flags:
+def _to_triangulate(graph: PoseGraph) -> Flags:
     """Tell which landmarks have observations, but none that measures a position in full."""
     seen = graph.landmarks
     assert seen is not None
@@ -159,11 +159,11 @@ def _loose(graph: PoseGraph) -> Flags:
 class _Triangulation:
     """Landmarks that no single observation places, and what is seen of them from known poses."""
 
-    def __init__(self, graph: PoseGraph, loose: Flags) -> None:
+    def __init__(self, graph: PoseGraph, chosen: Flags) -> None:
         seen, poses = graph.landmarks, graph.poses
         assert seen is not None
         assert poses is not None
-        self._ids = seen.ids[loose]
+        self._ids = seen.ids[chosen]
         rows = np.isin(seen.observations[:, 1], self._ids)
         self._seen = replace(seen.observed(rows), ids=self._ids, positions=None)
         self._at = np.searchsorted(self._ids, self._seen.observations[:, 1])
@@ -178,9 +178,9 @@ class _Triangulation:
         points = np.stack([points for points, _, _ in found])
         costs = np.stack([cost for _, cost, _ in found])
         best, every = np.argmin(costs, axis=0), np.arange(self._count)
-        chosen = points[best, every]
+        nearest = points[best, every]
         information = np.stack([h for _, _, h in found])[best, every]
-        apart = points - chosen
+        apart = points - nearest
         far = np.einsum("cki,kij,ckj->ck", apart, information, apart) > _ELSEWHERE
         far &= np.linalg.eigvalsh(information)[:, 0] > 0
         rival = np.where(far & (costs < costs[best, every] + _AS_GOOD), costs, np.inf)
@@ -188,7 +188,7 @@ class _Triangulation:
         doubtful = np.flatnonzero(np.isfinite(rival[second, every]))
         notes = [
             f"landmark {self._ids[k]}: two positions fit what was measured of it about as well, "
-            f"{_text(chosen[k])} and {_text(points[second[k], k])}: the initial guess has the "
+            f"{_text(nearest[k])} and {_text(points[second[k], k])}: the initial guess has the "
             "first. A bearing, or a range from off the line of the others would decide"
             for k in doubtful[:_MAX_NOTES]
         ]
@@ -197,7 +197,7 @@ class _Triangulation:
                 f"two positions fit what was measured of {len(doubtful) - _MAX_NOTES} more "
                 "landmarks about as well"
             )
-        return chosen, notes
+        return nearest, notes
 
     def _candidates(self) -> list[Floats]:
         """Return positions to begin at, each (k, d)."""
