@@ -4,6 +4,9 @@ gtsam has no factor of a point seen in the frame of a pose that Python can make 
 Its times are those of its bearing-range factors, whose variances are those of the point to first
 order. Then its own optimizer goes on, off the clock, to the minimum of the chi2 that masat
 minimizes. All maps are judged by masat's evaluation of it.
+
+In the worlds "-bearings" range and bearing were measured: gtsam's factors have masat's residual,
+and its minimum is that from the truth.
 """
 
 from __future__ import annotations
@@ -22,10 +25,14 @@ from benchmarks.threads import single_threaded
 from benchmarks.with_gtsam import poses_of
 from masat import lie
 from masat.arrays import Floats, Ids
+from masat.residuals import measured_poses
 from masat.worlds import WORLDS
+from masat.worlds.landmarks import ranges_and_bearings
 
 # Meters and radians a step of odometry; meters a coordinate of an observation.
 _STEP, _TURN, _SEEN = 0.02, 0.005, 0.1
+# Radians of a bearing.
+_BEARING = 0.01
 _REPEATS, _LIMIT = 3, 50
 
 
@@ -54,10 +61,14 @@ _WORLDS: dict[str, tuple[Callable[[np.random.Generator], tuple[Floats, Floats]],
     "park": (park, 10_000),
     "sphere": (sphere, 80_000),
 }
+_WORLDS |= {f"{name}-bearings": _WORLDS[name] for name in ("park", "sphere")}
 
 
-def world(name: str) -> masat.PoseGraph:
-    """Return the odometry of a world and what its poses saw: some of the nearest of each point."""
+def world(name: str) -> tuple[masat.PoseGraph, masat.PoseGraph]:
+    """Return the odometry of a world and what its poses saw, and the same at the truth.
+
+    Each point is seen from some of the poses nearest to it.
+    """
     rng = np.random.default_rng(0)
     make, count = _WORLDS[name]
     poses, points = make(rng)
@@ -73,18 +84,26 @@ def world(name: str) -> masat.PoseGraph:
     there = np.tile(lie.identity(d), (len(pairs), 1))
     there[:, :d] = points[pairs[:, 1]]
     seen = lie.between(poses[pairs[:, 0]], there)[:, :d]
+    information = 1 / _SEEN**2 * np.eye(d)
+    with_bearings = name.endswith("-bearings")
+    if with_bearings:
+        information = np.diag([1 / _SEEN**2] + [1 / _BEARING**2] * (d - 1))
     sigmas = np.repeat([_STEP, _TURN], [d, lie.DOF[d] - d])
     steps = lie.between(poses[:-1], poses[1:])
-    return masat.PoseGraph.from_arrays(
+    measured = lie.retract(steps, rng.normal(size=(n - 1, lie.DOF[d])) * sigmas)
+    noise = rng.normal(size=seen.shape)
+    z = seen + _SEEN * noise
+    if with_bearings:
+        z = ranges_and_bearings(seen, noise / np.sqrt(np.diag(information)))
+    graph = masat.PoseGraph.from_arrays(
         np.column_stack([np.arange(n - 1), np.arange(1, n)]),
-        lie.retract(steps, rng.normal(size=(n - 1, lie.DOF[d])) * sigmas),
+        measured,
         np.diag(1 / np.square(sigmas)),
         landmarks=masat.landmarks(
-            pairs + np.array([0, n]),
-            seen + rng.normal(scale=_SEEN, size=seen.shape),
-            1 / _SEEN**2 * np.eye(d),
+            pairs + np.array([0, n]), z, information, range_bearing=with_bearings
         ),
     )
+    return graph, graph.with_poses(poses).with_points(points[graph.point_ids - n])
 
 
 def _nearest(positions: Floats, point: Floats, count: int) -> Ids:
@@ -118,9 +137,11 @@ class _Peer:
         factors = self.relative()
         seen = self._graph.landmarks
         assert seen is not None
-        for (a, b), z in zip(seen.observations.tolist(), seen.measurements, strict=True):
+        positions = measured_poses(seen)[:, : self._d]
+        for (a, b), z in zip(seen.observations.tolist(), positions, strict=True):
             distance = float(np.linalg.norm(z))
-            off = [_SEEN / distance] * (self._d - 1)
+            across = _SEEN / distance if seen.range_bearing is None else _BEARING
+            off = [across] * (self._d - 1)
             noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([*off, _SEEN]))
             if self._d == 2:
                 bearing = gtsam.Rot2.fromAngle(float(np.arctan2(z[1], z[0])))
@@ -210,16 +231,16 @@ def main() -> None:
     single_threaded()
     print("arrays to map, best of the repeats in s; gtsam from masat's chordal guess, which is not")
     print("in its time; ratio of masat's time to gtsam's, wanted at most 0.33")
-    print("world    solver                    its  seconds  ratio                chi2")
+    print("world           solver                    its  seconds  ratio                chi2")
     for name in sys.argv[1:] or _WORLDS:
-        graph = world(name)
+        graph, truth = world(name)
         took = []
         for _ in range(_REPEATS):
             start = perf_counter()
             result = masat.solve(graph, threads=1)
             took.append(perf_counter() - start)
         ours = min(took)
-        print(f"{name:8} masat                         {ours:8.2f}        {result.chi2:19.10g}")
+        print(f"{name:15} masat                         {ours:8.2f}        {result.chi2:19.10g}")
         peer = _Peer(masat.initialize(graph, "chordal"))
         factors, minimum = peer.bearings(), None
         # Where Gauss-Newton arrives it is the faster of the two.
@@ -228,22 +249,27 @@ def main() -> None:
             try:
                 found, count = _optimized(factors, peer.values(), method)
             except RuntimeError as error:
-                print(f"{name:8} gtsam {method} fails: {str(error).splitlines()[0][:70]}")
+                print(f"{name:15} gtsam {method} fails: {str(error).splitlines()[0][:70]}")
                 continue
             seconds = perf_counter() - start
             chi2, minimum = peer.graph_at(found).chi2, found
             print(
-                f"{name:8} gtsam {method}                 {count:4d} {seconds:8.2f} "
+                f"{name:15} gtsam {method}                 {count:4d} {seconds:8.2f} "
                 f"{ours / seconds:6.3f} {chi2:19.10g}",
                 flush=True,
             )
             break
-        if minimum is not None:
+        if graph.landmarks is not None and graph.landmarks.range_bearing is not None:
+            found, _ = _optimized(factors, _Peer(truth).values(), "LM")
+            chi2 = peer.graph_at(found).chi2
+            print(f"{name:15} gtsam, from the truth                         {chi2:19.10g}")
+        elif minimum is not None:
             points, more = peer.points()
             minimum.insert(more)
             chi2 = peer.graph_at(_optimized(points, minimum, "GN")[0]).chi2
             print(
-                f"{name:8} gtsam, residual of a point                     {chi2:19.10g}", flush=True
+                f"{name:15} gtsam, residual of a point                     {chi2:19.10g}",
+                flush=True,
             )
 
 

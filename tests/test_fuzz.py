@@ -25,6 +25,16 @@ INLINE = {
         f"EDGE_SE3:QUAT 0 1 1 2 3 0.6 0 0 -0.8 {SPACE}\n"
         "EDGE_SE3:QUAT 1 0 -1 2e1 3 0 0.7071068 0 0.7071068\n"
     ),
+    "g2o with bearings": (
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 1.57\nVERTEX_XY 7 2 1\nVERTEX_XY 8 2 -1e0\n"
+        f"EDGE_SE2 0 1 1.0 0.01 1.57 {PLANE}\nEDGE_BEARING_SE2_XY 0 7 .5 4\n"
+        "EDGE_BEARING_SE2_XY 1 8 -.8 9e1\nEDGE_RANGE_BEARING_SE2_XY 1 7 1.2 -.7 4 .5 9\n"
+        "EDGE_SE2_XY 1 8 1 2 1 0 1\n"
+    ),
+    "g2o with elevations": (
+        "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_TRACKXYZ 7 1 2 3\n"
+        "EDGE_RANGE_BEARING_SE3_XYZ 0 7 3.7 1.1 .9 4 0 .1 9 0 9\n"
+    ),
     "TORO in the plane": (
         "VERTEX2 0 0 0 0\nVERTEX2 9 1 0 0.5\nEDGE2 9 0 1 0 0.5 10 1 20 30 2 3\nEQUIV 0 9\n"
         "EDGE2 0 9 1 0 0.5 1 0 1 1 0 0\n"

@@ -27,6 +27,15 @@ PLANAR_COSTS = (
 )
 # The sensor has the x axis along the robot's y axis, y along z, z along x, at (1, 2, 3) of it; the
 # robot stands at (10, 0, 0), its x axis along the world's y axis.
+# The landmark of the planar file is at (2, 1), which is (1, 0.9) from node 1, whose heading is 1.5.
+# g2o's error of a bearing is the difference of the angles.
+BEARINGS = """\
+EDGE_BEARING_SE2_XY 0 7 .5 4
+EDGE_SE2_XY 0 7 2.1 1.2 1 .2 2
+EDGE_BEARING_SE2_XY 1 7 -.8 9
+EDGE_RANGE_BEARING_SE2_XY 1 7 1.2 -.7 4 .5 9
+EDGE_RANGE_BEARING_SE2_XY 0 7 2 0 1 0 0
+"""
 SPATIAL = """\
 PARAMS_SE3OFFSET 4 1 2 3 .5 .5 .5 .5
 PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1
@@ -59,6 +68,27 @@ def test_costs_of_a_planar_file_are_those_of_g2o(read):
         assert_allclose(ours, theirs, rtol=1e-9)
 
 
+def test_costs_of_bearings_by_hand(read):
+    graph = read(PLANAR + BEARINGS)
+    assert graph.notes == ()
+    far, angle = 1.81**0.5, np.arctan2(0.9, 1) - 1.5
+    expected = [
+        4 * (np.arctan2(1, 2) - 0.5) ** 2,
+        PLANAR_COSTS[2][0],
+        9 * (angle + 0.8) ** 2,
+        4 * (far - 1.2) ** 2 + (far - 1.2) * (angle + 0.7) + 9 * (angle + 0.7) ** 2,
+        (5**0.5 - 2) ** 2,
+    ]
+    assert_allclose(graph.chi2_per_observation[2:], expected, rtol=1e-9)
+
+
+def test_a_bearing_is_wrapped_as_in_g2o(read):
+    # The landmark is at 3, measured at -3: g2o takes the shorter way, 2 pi - 6.
+    x, y = np.cos(3), np.sin(3)
+    graph = read(f"VERTEX_SE2 0 0 0 0\nVERTEX_XY 7 {x} {y}\nEDGE_BEARING_SE2_XY 0 7 -3 1\n")
+    assert_allclose(graph.chi2, (2 * np.pi - 6) ** 2, rtol=1e-9)
+
+
 def test_costs_of_a_spatial_file_by_hand(read):
     graph = read(SPATIAL)
     # The robot's frame: x is the world's y, y its -x. The sensor is at (10 - 2, 1, 3), one below
@@ -78,7 +108,7 @@ def test_costs_of_a_spatial_file_by_hand(read):
     assert_allclose(graph.chi2_per_observation, [1 + 2, 3], atol=1e-12)
 
 
-@pytest.mark.parametrize("text", [PLANAR, SPATIAL])
+@pytest.mark.parametrize("text", [PLANAR, PLANAR + BEARINGS, SPATIAL])
 def test_files_read_back_the_same(read, text, tmp_path):
     graph = read(text)
     masat.write(graph, tmp_path / "again.g2o")
@@ -101,6 +131,8 @@ def test_any_graph_reads_back_the_same(d, seed, tmp_path):
     masat.write(graph, tmp_path / "graph.g2o.gz")
     again = masat.read(tmp_path / "graph.g2o.gz")
     assert_array_equal(again.priors.ids, graph.priors.ids)
+    assert_array_equal(again.landmarks.range_bearing, graph.landmarks.range_bearing)
+    assert_array_equal(again.landmarks.information, graph.landmarks.information)
     assert again.chi2 == graph.chi2
 
 
@@ -121,7 +153,7 @@ def test_an_offset_in_2d_is_the_same_observation_from_the_sensor(read):
 @pytest.mark.parametrize(
     ("line", "meaning"),
     [
-        ("EDGE_BEARING_SE2_XY 0 7 .1 1", "bearings of landmarks"),
+        ("EDGE_SE2_XY_CALIB 0 7 3 1 1 1 0 1", "observations of landmarks whose sensor offset"),
         ("EDGE_SE2_LOTSOFXY 0 1 7 1 1", "observations of many landmarks"),
         ("PARAMS_CAMERACALIB 0 1 1 1", "calibrations of cameras"),
         ("EDGE_POINTXY 7 8 0 0 1 0 1", "relative positions of two landmarks"),
@@ -144,6 +176,15 @@ def test_other_tags_are_skipped_by_name_with_what_they_hold(read, line, meaning)
         ("EDGE_SE2_XY 0 9 1 2 1 0 1", "10: observation 2 .* names no landmark"),
         ("EDGE_SE2_XY 0 7 1 2 1 0", "10: EDGE_SE2_XY takes: pose point x y"),
         ("EDGE_SE2_POINTXY_OFFSET 0 7 3 1 2 1 0 1", "10: the line refers to the parameter 3"),
+        (
+            "EDGE_BEARING_SE2_XY 0 7 .1",
+            "10: EDGE_BEARING_SE2_XY takes: pose point bearing [+] 1 inf",
+        ),
+        ("EDGE_BEARING_SE2_XY 0 7 .1 0", "10: .*zero or not positive semidefinite"),
+        ("EDGE_BEARING_SE2_XY 0 7 nan 1", "10: found a number that is not finite"),
+        ("EDGE_RANGE_BEARING_SE2_XY 0 7 -1 .1 1 0 1", "10: the range of observation 2 .* is -1 m"),
+        ("EDGE_RANGE_BEARING_SE2_XY 0 7 1 .1 1 0", "takes: pose point range bearing [+] 3 inf"),
+        ("EDGE_RANGE_BEARING_SE3_XYZ 0 7 1 0 0 1 0 0 1 0 1", "10: .* is 3D, the lines before"),
         ("FIX 7", "10: FIX names the landmark 7"),
         ("VERTEX_XY 0 1 1", "10: the id 0 is that of a pose and of a landmark"),
         ("VERTEX_TRACKXYZ 8 1 1 1", "10: VERTEX_TRACKXYZ is 3D"),

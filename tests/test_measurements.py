@@ -32,8 +32,8 @@ def random_information(rng, n, d):
     return a @ a.transpose(0, 2, 1)
 
 
-def graph_of_everything(d, seed=0, offset=True):
-    """A graph with edges, full, partial and point priors, landmarks, and random poses of all."""
+def graph_of_everything(d, seed=0, offset=True, ranges=True):
+    """A graph with edges, all kinds of priors and of landmarks, and random poses of all."""
     rng = np.random.default_rng(seed)
     dof = lie.DOF[d]
     partial = random_information(rng, 3, dof)
@@ -48,6 +48,19 @@ def graph_of_everything(d, seed=0, offset=True):
         random_information(rng, 4, d),
         positions=rng.normal(size=(2, d)),
     )
+    if ranges:
+        directions = rng.uniform(-1.5, 1.5, size=(4, d - 1))
+        open_ = random_information(rng, 4, d)
+        open_[1, 0] = open_[1, :, 0] = 0
+        open_[2, 1:] = open_[2, :, 1:] = 0
+        seen += masat.landmarks(
+            [(0, 50), (1, 51), (3, 52), (2, 52)],
+            np.column_stack([rng.uniform(0.5, 4, 4), directions]),
+            open_,
+            ids=[50, 51, 52],
+            range_bearing=True,
+        )
+        seen = seen.with_positions(rng.normal(size=(3, d)))
     return PoseGraph.from_arrays(
         SQUARE,
         random_poses(rng, 4, d),
@@ -149,8 +162,9 @@ def test_a_lever_arm_is_where_the_antenna_is():
 
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("offset", [False, True])
-def test_the_assembled_graph_costs_the_same(d, offset):
-    graph = graph_of_everything(d, offset=offset)
+@pytest.mark.parametrize("ranges", [False, True])
+def test_the_assembled_graph_costs_the_same(d, offset, ranges):
+    graph = graph_of_everything(d, offset=offset, ranges=ranges)
     assembly = assemble(graph)
     assert_allclose(assembly.graph.chi2, graph.chi2, rtol=1e-12)
     back = assembly.disassembled(assembly.graph.poses)
@@ -159,8 +173,9 @@ def test_the_assembled_graph_costs_the_same(d, offset):
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_gradients_are_those_of_finite_differences(d):
-    graph = assemble(graph_of_everything(d)).graph
+@pytest.mark.parametrize("offset", [False, True])
+def test_gradients_are_those_of_finite_differences(d, offset):
+    graph = assemble(graph_of_everything(d, offset=offset)).graph
     equations = normal_equations(graph)
     equations.linearize(graph.poses)
     gradient = -2 * equations.rhs()
@@ -225,10 +240,12 @@ def test_edits_and_merges_carry_priors_and_landmarks():
     assert_allclose(graph.relabel({0: 100, 2: -7}).chi2, graph.chi2)
     less = graph.without_nodes(1)
     assert_array_equal(less.priors.ids, [0, 3, 50, 2])
-    assert_array_equal(less.landmarks.observations, [(0, 50), (2, 51), (3, 50)])
+    kept = [(0, 50), (2, 51), (3, 50), (0, 50), (3, 52), (2, 52)]
+    assert_array_equal(less.landmarks.observations, kept)
+    assert_array_equal(less.landmarks.range_bearing, [False] * 3 + [True] * 3)
     two = masat.merge([graph, graph])
     assert_allclose(two.chi2, 2 * graph.chi2)
-    assert_array_equal(two.point_ids, [50, 51, 1_000_050, 1_000_051])
+    assert_array_equal(two.point_ids, [50, 51, 52, 1_000_050, 1_000_051, 1_000_052])
     with pytest.raises(GraphError, match="the id 50 is that of a landmark"):
         graph.with_edges([(0, 50)], [(1, 0, 0)])
 
@@ -262,7 +279,7 @@ def test_relabelling_renames_poses_and_landmarks_alike(d, to, new):
         ({50: 2}, "the node and the landmark 2 and 50 would both get the id 2"),
         ({50: 51}, "the landmarks 50 and 51 would both get the id 51"),
         ({0: 1}, "the nodes 0 and 1 would both get the id 1"),
-        ({52: 1}, "the graph has no node 52"),
+        ({60: 1}, "the graph has no node 60"),
     ],
 )
 def test_no_two_nodes_or_landmarks_get_one_id(to, message):

@@ -219,3 +219,19 @@ def test_an_observation_far_off_takes_no_honest_one_with_it(truth):
     decision = decide(graph.with_landmarks(wrong))
     assert np.flatnonzero(~decision.kept_observations).tolist() == [7]
     assert decision.kept_priors.all()
+
+
+def test_a_wrong_bearing_is_rejected(truth):
+    world = worlds.add_landmarks(truth, 40, sigma=0.05, reach=6.0, seed=4)
+    world, _ = worlds.add_fixes(world, 0.2, 0.1, seed=4)
+    seen = world.landmarks
+    ahead = seen.measurements
+    bearings = np.arctan2(ahead[:, 1], ahead[:, 0])
+    bearings[7] += 1.0
+    polar = masat.range_bearing(
+        seen.observations, np.hypot(*ahead.T), bearings, sigma_range=0.05, sigma_bearing=0.02
+    )
+    graph = worlds.perturb(world.with_landmarks(polar), (0.02, 0.02, 0.02), seed=1)
+    decision = decide(graph)
+    assert np.flatnonzero(~decision.kept_observations).tolist() == [7]
+    assert decision.kept_priors.all()

@@ -113,7 +113,7 @@ def test_fixes_and_landmarks_are_written(simulate, world, sigma, frame):
         (("--gps", "0.1:x"), "as in 0.05:2"),
         (("--gps", "2:1"), "must be from 0 to 1"),
         (("--landmarks", "many"), "as in 200"),
-        (("--landmarks", "3:1:2:3"), "as in 200"),
+        (("--landmarks", "3:1:2:3:4"), "as in 200"),
         (("--frame", "1,2,3"), "--frame is the frame of --gps"),
         (("--gps", "0.1:1", "--frame", "1,2"), "needs 3 numbers: EAST,NORTH,HEADING"),
     ],

@@ -57,6 +57,13 @@ inline const double* data_of(const std::optional<Table<double>>& table, std::siz
   return table->data();
 }
 
+// The flags of a table of as many rows, or null without any.
+inline const bool* flags_of(const std::optional<Vector<bool>>& flags, std::size_t rows) {
+  if (!flags) return nullptr;
+  require(flags->shape(0) == rows, "one flag an edge");
+  return flags->data();
+}
+
 // Calls f with a null pointer to the group whose poses have that many numbers.
 template <class F>
 auto with_group(std::size_t pose_size, F f) {

@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -32,11 +33,13 @@ void check_rows(const GraphMatrix& matrix, const Stack& v);
 
 // In a file of its own: a second instance of the loop over the edges in one file makes the compiler
 // inline less of both.
-std::unique_ptr<NormalEquations> equations_at_offsets(nb::object topology,
-                                                      std::shared_ptr<Elimination> elimination,
-                                                      const Table<double>& measurements,
-                                                      const Stack& information,
-                                                      const Table<double>& offsets, int threads);
+std::unique_ptr<NormalEquations> sensor_equations(nb::object topology,
+                                                  std::shared_ptr<Elimination> elimination,
+                                                  const Table<double>& measurements,
+                                                  const Stack& information,
+                                                  const std::optional<Table<double>>& offsets,
+                                                  const std::optional<Vector<bool>>& range_bearing,
+                                                  int threads);
 
 // Blocks of the inverse of a factorized system of d rows a node, by indices among its nodes.
 template <class System>

@@ -48,7 +48,8 @@ std::unique_ptr<NormalEquations> make_equations(nb::handle_t<Topology> topology,
                                                 std::shared_ptr<Elimination> elimination,
                                                 const Table<double>& measurements,
                                                 const Stack& information, int threads,
-                                                const std::optional<Table<double>>& offsets) {
+                                                const std::optional<Table<double>>& offsets,
+                                                const std::optional<Vector<bool>>& range_bearing) {
   const Topology& graph = *nb::inst_ptr<Topology>(topology);
   const std::size_t m = graph.edges().size();
   require(measurements.shape(0) == m && information.shape(0) == m, "one row an edge");
@@ -56,9 +57,9 @@ std::unique_ptr<NormalEquations> make_equations(nb::handle_t<Topology> topology,
       elimination->nodes() == graph.nodes() && elimination->edges() == static_cast<std::int64_t>(m),
       "the elimination must be of the same graph");
   nb::object owner = nb::borrow(topology);
-  if (offsets) {
-    return equations_at_offsets(std::move(owner), std::move(elimination), measurements, information,
-                                *offsets, threads);
+  if (offsets || range_bearing) {
+    return sensor_equations(std::move(owner), std::move(elimination), measurements, information,
+                            offsets, range_bearing, threads);
   }
   nb::gil_scoped_release release;
   return with_group(
@@ -139,7 +140,8 @@ void bind_equations(nb::module_& m) {
   bind_losses(m);
   nb::class_<NormalEquations>(m, "NormalEquations")
       .def(nb::new_(&make_equations), "topology"_a, "elimination"_a, "measurements"_a,
-           "information"_a, "threads"_a = 1, "offsets"_a = nb::none())
+           "information"_a, "threads"_a = 1, "offsets"_a = nb::none(),
+           "range_bearing"_a = nb::none())
       .def(
           "chi2",
           [](NormalEquations& e, const Table<double>& poses) {

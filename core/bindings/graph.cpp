@@ -11,8 +11,8 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
-#include "factors/offset_pose.hpp"
 #include "factors/relative_pose.hpp"
+#include "factors/sensor.hpp"
 #include "factors/sums.hpp"
 #include "graph/topology.hpp"
 #include "initializers/placement.hpp"
@@ -121,21 +121,22 @@ Array<double> toro_placement(const Topology& graph, const Vector<std::int32_t>& 
 }
 
 Array<double> residuals_of(const Topology& graph, const Table<double>& measurements,
-                           const Table<double>& poses,
-                           const std::optional<Table<double>>& offsets) {
+                           const Table<double>& poses, const std::optional<Table<double>>& offsets,
+                           const std::optional<Vector<bool>>& range_bearing) {
   check_poses(graph, measurements, poses);
   const double* const moved = data_of(offsets, measurements.shape(0), poses.shape(1));
+  const bool* const flags = flags_of(range_bearing, measurements.shape(0));
   const std::size_t dof = poses.shape(1) == SE2::kSize ? SE2::kDof : SE3::kDof;
   std::vector<double> out(measurements.shape(0) * dof);
   {
     nb::gil_scoped_release release;
     with_group(poses.shape(1), [&]<class Group>(Group*) {
       const typename Group::Table at(poses.data(), graph.nodes());
-      if (moved == nullptr) {
+      if (moved == nullptr && flags == nullptr) {
         residuals(RelativePoseFactors<Group>(graph.edges(), measurements.data()), at, out.data());
       } else {
-        residuals(OffsetPoseFactors<Group>(graph.edges(), measurements.data(), nullptr, moved), at,
-                  out.data());
+        residuals(SensorFactors<Group>(graph.edges(), measurements.data(), nullptr, moved, flags),
+                  at, out.data());
       }
     });
   }
@@ -144,9 +145,11 @@ Array<double> residuals_of(const Topology& graph, const Table<double>& measureme
 
 Array<double> chi2_of_edges(const Topology& graph, const Table<double>& measurements,
                             const Stack& information, const Table<double>& poses,
-                            const std::optional<Table<double>>& offsets) {
+                            const std::optional<Table<double>>& offsets,
+                            const std::optional<Vector<bool>>& range_bearing) {
   check_poses(graph, measurements, poses);
   const double* const moved = data_of(offsets, measurements.shape(0), poses.shape(1));
+  const bool* const flags = flags_of(range_bearing, measurements.shape(0));
   std::vector<double> out(measurements.shape(0));
   with_group(poses.shape(1), [&]<class Group>(Group*) {
     require(information.shape(0) == out.size() && information.shape(1) == Group::kDof &&
@@ -154,15 +157,39 @@ Array<double> chi2_of_edges(const Topology& graph, const Table<double>& measurem
             "information must be (m, d, d)");
     nb::gil_scoped_release release;
     const typename Group::Table at(poses.data(), graph.nodes());
-    if (moved == nullptr) {
+    if (moved == nullptr && flags == nullptr) {
       costs(RelativePoseFactors<Group>(graph.edges(), measurements.data(), information.data()), at,
             out.data());
     } else {
-      costs(OffsetPoseFactors<Group>(graph.edges(), measurements.data(), information.data(), moved),
+      costs(SensorFactors<Group>(graph.edges(), measurements.data(), information.data(), moved,
+                                 flags),
             at, out.data());
     }
   });
   return as_array(std::move(out));
+}
+
+// Errors of points, (k, d), in frames whose x axes point in the measured directions, and their
+// derivatives.
+template <int d>
+nb::tuple range_bearing_errors(const Table<double>& points, const Vector<double>& ranges) {
+  const std::size_t n = points.shape(0);
+  std::vector<double> errors(n * d), jacobians(n * d * d);
+  for (std::size_t k = 0; k < n; ++k) {
+    Eigen::Matrix<double, d, d> j;
+    Eigen::Map<Eigen::Matrix<double, d, 1>>{&errors[k * d]} = range_bearing_error<d>(
+        Eigen::Map<const Eigen::Matrix<double, d, 1>>(points.data() + k * d), ranges.data()[k], &j);
+    Eigen::Map<Eigen::Matrix<double, d, d>>{&jacobians[k * d * d]} = j.transpose();
+  }
+  return nb::make_tuple(as_array(std::move(errors), {n, d}),
+                        as_array(std::move(jacobians), {n, d, d}));
+}
+
+nb::tuple errors_of_points(const Table<double>& points, const Vector<double>& ranges) {
+  const std::size_t d = points.shape(1);
+  require((d == 2 || d == 3) && ranges.shape(0) == points.shape(0),
+          "points must be (k, 2) or (k, 3), ranges (k,)");
+  return d == 2 ? range_bearing_errors<2>(points, ranges) : range_bearing_errors<3>(points, ranges);
 }
 
 }  // namespace
@@ -184,9 +211,10 @@ void bind_graph(nb::module_& m) {
           "nodes"_a)
       .def("components", [](const Topology& t) { return as_array(t.components()); });
   m.def("residuals", &residuals_of, "topology"_a, "measurements"_a, "poses"_a,
-        "offsets"_a = nb::none());
+        "offsets"_a = nb::none(), "range_bearing"_a = nb::none());
   m.def("chi2_per_edge", &chi2_of_edges, "topology"_a, "measurements"_a, "information"_a, "poses"_a,
-        "offsets"_a = nb::none());
+        "offsets"_a = nb::none(), "range_bearing"_a = nb::none());
+  m.def("range_bearing_errors", &errors_of_points, "points"_a, "ranges"_a);
   m.def("place_along_tree", &tree_placement, "topology"_a, "roots"_a, "preferred"_a,
         "measurements"_a, "poses"_a);
   m.def("place_by_masat", &masat_placement, "topology"_a, "roots"_a, "measurements"_a, "poses"_a);

@@ -14,8 +14,8 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
-#include "factors/offset_pose.hpp"
 #include "factors/relative_pose.hpp"
+#include "factors/sensor.hpp"
 #include "graph/topology.hpp"
 #include "optimizers/translations.hpp"
 #include "relaxation/pose_form.hpp"
@@ -154,8 +154,8 @@ nb::tuple solved_translations(const Topology& graph, GraphMatrix& matrix,
     if (moved == nullptr) {
       solve(RelativePoseFactors<Group>(graph.edges(), measurements.data(), information.data()));
     } else {
-      solve(
-          OffsetPoseFactors<Group>(graph.edges(), measurements.data(), information.data(), moved));
+      solve(SensorFactors<Group>(graph.edges(), measurements.data(), information.data(), moved,
+                                 nullptr));
     }
   });
   return nb::make_tuple(out, failed);

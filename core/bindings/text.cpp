@@ -67,6 +67,7 @@ nb::dict parse_text(const nb::bytes& text, const std::vector<Record>& records) {
   out["observation_parameters"] = as_array(std::move(g.observation_parameters));
   out["observations"] = as_array(std::move(g.observations), {seen, d});
   out["observation_information"] = as_array(std::move(g.observation_information), {seen, d, d});
+  out["observation_range_bearing"] = as_array(std::move(g.observation_range_bearing));
   out["parameter_ids"] = as_array(std::move(g.parameter_ids));
   out["parameter_lines"] = as_array(std::move(g.parameter_lines));
   out["parameters"] = as_array(std::move(g.parameters), {parameters, size});
@@ -128,7 +129,10 @@ void bind_text(nb::module_& m) {
       .value("XYZ_RPY", PoseText::kXYZRPY)
       .value("MATRIX", PoseText::kMatrix)
       .value("XY", PoseText::kXY)
-      .value("XYZ", PoseText::kXYZ);
+      .value("XYZ", PoseText::kXYZ)
+      .value("BEARING", PoseText::kBearing)
+      .value("RANGE_BEARING", PoseText::kRangeBearing)
+      .value("RANGE_BEARING_ELEVATION", PoseText::kRangeBearingElevation);
   nb::enum_<InformationText>(m, "InformationText")
       .value("UPPER", InformationText::kUpper)
       .value("TORO_PLANAR", InformationText::kToroPlanar)

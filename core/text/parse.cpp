@@ -200,6 +200,7 @@ class Parser {
     if (record.pose == PoseText::kXYZQuat && v[3] == 0 && v[4] == 0 && v[5] == 0 && v[6] == 0) {
       line.fail("the quaternion is zero: no rotation; expected qx qy qz qw of unit length");
     }
+    if (record.pose == PoseText::kBearing) to.push_back(0);  // the range, not measured
     to.insert(to.end(), v, v + width_of(record.pose));
   }
 
@@ -273,10 +274,15 @@ class Parser {
     out_.observation_parameters.push_back(record.parameter ? integer(line, record) : -1);
     numbers(line, record, width_of(record.pose));
     pose(line, record, out_.observations);
-    if (record.pose == PoseText::kXY) {
-      information<2>(line, record, out_.observation_information);
+    out_.observation_range_bearing.push_back(is_range_bearing(record.pose));
+    std::vector<double>& w = out_.observation_information;
+    if (record.pose == PoseText::kBearing) {
+      w.insert(w.end(), 3, 0.0);
+      information<1>(line, record, w);
+    } else if (dimension_of(record.pose) == 2) {
+      information<2>(line, record, w);
     } else {
-      information<3>(line, record, out_.observation_information);
+      information<3>(line, record, w);
     }
     end_of(line, record);
   }

@@ -26,12 +26,15 @@ enum class Kind {
 };
 
 enum class PoseText {
-  kXYTheta,  // x y theta
-  kXYZQuat,  // x y z qx qy qz qw
-  kXYZRPY,   // x y z roll pitch yaw; the information refers to these angles
-  kMatrix,   // the upper three rows of the 4x4 matrix, row by row
-  kXY,       // x y: a position
-  kXYZ,      // x y z
+  kXYTheta,                // x y theta
+  kXYZQuat,                // x y z qx qy qz qw
+  kXYZRPY,                 // x y z roll pitch yaw; the information refers to these angles
+  kMatrix,                 // the upper three rows of the 4x4 matrix, row by row
+  kXY,                     // x y: a position
+  kXYZ,                    // x y z
+  kBearing,                // the angle to a landmark in 2D
+  kRangeBearing,           // and its distance before it
+  kRangeBearingElevation,  // the same in 3D
 };
 
 enum class InformationText {
@@ -76,7 +79,9 @@ struct ParsedGraph {
   std::vector<std::int64_t> point_ids, point_lines;
   std::vector<double> points;
   std::vector<std::int64_t> observation_ids, observation_lines, observation_parameters;
-  std::vector<double> observations, observation_information;  // positions
+  // Positions, or where `observation_range_bearing` is 1: range, bearing and in 3D elevation.
+  std::vector<double> observations, observation_information;
+  std::vector<std::uint8_t> observation_range_bearing;
   std::vector<std::int64_t> parameter_ids, parameter_lines;
   std::vector<double> parameters;
   std::vector<std::int64_t> fixed_ids, fixed_lines;

@@ -22,11 +22,20 @@ from masat.errors import (
     OptimizationError,
 )
 from masat.evaluation import Evaluation, PoseErrors, evaluate
-from masat.formats import read, read_links, write
+from masat.formats import read, read_links, read_observations, write
 from masat.geodesy import east_north_up
 from masat.graph import PoseGraph
 from masat.initializers import initialize
-from masat.measurements import Landmarks, Priors, altitudes, gps, headings, landmarks, pose_priors
+from masat.measurements import (
+    Landmarks,
+    Priors,
+    altitudes,
+    gps,
+    headings,
+    landmarks,
+    pose_priors,
+    range_bearing,
+)
 from masat.merging import merge
 from masat.optimality.certificate import Certificate, certify
 from masat.optimizers import Iteration, Result, StopReason, optimize
@@ -68,8 +77,10 @@ __all__ = [
     "optimize",
     "plot",
     "pose_priors",
+    "range_bearing",
     "read",
     "read_links",
+    "read_observations",
     "relative_covariances",
     "sessions",
     "solve",

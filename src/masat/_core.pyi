@@ -9,6 +9,9 @@ import enum
 from collections.abc import Sequence
 from typing import TypedDict
 
+import numpy as np
+from numpy.typing import NDArray
+
 from masat.arrays import Flags, Floats, Ids, Indices
 
 class ParseError(Exception):
@@ -28,7 +31,11 @@ class Topology:
     def components(self) -> Indices: ...
 
 def residuals(
-    topology: Topology, measurements: Floats, poses: Floats, offsets: Floats | None = ...
+    topology: Topology,
+    measurements: Floats,
+    poses: Floats,
+    offsets: Floats | None = ...,
+    range_bearing: Flags | None = ...,
 ) -> Floats: ...
 def chi2_per_edge(
     topology: Topology,
@@ -36,7 +43,9 @@ def chi2_per_edge(
     information: Floats,
     poses: Floats,
     offsets: Floats | None = ...,
+    range_bearing: Flags | None = ...,
 ) -> Floats: ...
+def range_bearing_errors(points: Floats, ranges: Floats) -> tuple[Floats, Floats]: ...
 def place_along_tree(
     topology: Topology, roots: Indices, preferred: Flags, measurements: Floats, poses: Floats
 ) -> tuple[Floats, Indices]: ...
@@ -111,6 +120,7 @@ class NormalEquations:
         information: Floats,
         threads: int = ...,
         offsets: Floats | None = ...,
+        range_bearing: Flags | None = ...,
     ) -> None: ...
     def chi2(self, poses: Floats) -> float: ...
     def linearize(self, poses: Floats, weights: Floats | None = ...) -> float: ...
@@ -143,6 +153,9 @@ class PoseText(enum.Enum):
     MATRIX = ...
     XY = ...
     XYZ = ...
+    BEARING = ...
+    RANGE_BEARING = ...
+    RANGE_BEARING_ELEVATION = ...
 
 class InformationText(enum.Enum):
     UPPER = ...
@@ -186,6 +199,7 @@ class ParsedGraph(TypedDict):
     observation_parameters: Ids
     observations: Floats
     observation_information: Floats
+    observation_range_bearing: NDArray[np.uint8]
     parameter_ids: Ids
     parameter_lines: Ids
     parameters: Floats

@@ -16,7 +16,7 @@ from masat import lie
 from masat.arrays import Flags, Floats, Ids
 from masat.graph import PoseGraph
 from masat.information import partial
-from masat.residuals import as_poses
+from masat.residuals import as_poses, measured_poses
 from masat.structure import Structure
 
 
@@ -28,18 +28,27 @@ class AssembledGraph(PoseGraph):
     ----------
     offsets : ndarray, (m, 3) or (m, 7), or None
         Pose of the sensor that each edge measures, in the frame of the node that it leads to.
+    range_bearing : ndarray of bool, (m,), or None
+        Which edges measure range and bearing: in the place of the translation, their residual has
+        that of the distance and the direction. The x axis of their measurement points at it.
     relative : PoseGraph or None
         The poses and those edges alone that determine a relative pose in full; None in a part of
         such a graph.
     """
 
     offsets: Floats | None = field(default=None)
+    range_bearing: Flags | None = field(default=None)
     relative: PoseGraph | None = field(default=None)
 
     @property
     def sensor_offsets(self) -> Floats | None:
         """See `offsets`."""
         return self.offsets
+
+    @property
+    def range_bearing_edges(self) -> Flags | None:
+        """See `range_bearing`."""
+        return self.range_bearing
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +154,9 @@ class Assembly:
             measurements=np.concatenate([old.measurements, measurements]),
             information=np.concatenate([old.information, information]),
             offsets=_padded(old.offsets, len(nodes)),
+            range_bearing=None
+            if old.range_bearing is None
+            else np.append(old.range_bearing, np.zeros(len(nodes), np.bool_)),
         )
         return replace(self, graph=graph)
 
@@ -172,7 +184,7 @@ def assemble(graph: PoseGraph) -> Assembly:
         w.append(priors.information)
     if seen is not None:
         edges.append(seen.observations)
-        z.append(as_poses(seen.measurements))
+        z.append(measured_poses(seen))
         padded = np.zeros((len(seen.observations), graph.dof, graph.dof))
         padded[:, :d, :d] = seen.information
         w.append(padded)
@@ -184,6 +196,11 @@ def assemble(graph: PoseGraph) -> Assembly:
     if priors is not None and priors.offsets is not None:
         offsets = np.tile(lie.identity(d), (sum(map(len, z)), 1))
         offsets[len(graph.edges) : len(graph.edges) + len(priors)] = priors.offsets
+    flags = None
+    if seen is not None and seen.range_bearing is not None:
+        flags = np.zeros(sum(map(len, z)), np.bool_)
+        first = len(flags) - len(seen) - len(seen.observations)
+        flags[first : first + len(seen.observations)] = seen.range_bearing
     structure = Structure(joint.ids, np.concatenate(edges), joint.gauge, graph.dof)
     assembled = AssembledGraph(
         ids=structure.ids,
@@ -195,6 +212,7 @@ def assemble(graph: PoseGraph) -> Assembly:
         notes=graph.notes,
         structure=structure,
         offsets=offsets,
+        range_bearing=flags,
         relative=relative_part(graph),
     )
     out = Assembly(graph, assembled)

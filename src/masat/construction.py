@@ -13,7 +13,7 @@ from masat import lie
 from masat import stamps as times
 from masat.arrays import Floats, Ids
 from masat.errors import GraphError
-from masat.measurements import Landmarks, Priors, joined
+from masat.measurements import Landmarks, Priors, joined, joined_landmarks
 
 if TYPE_CHECKING:
     from masat.graph import PoseGraph
@@ -32,11 +32,11 @@ def from_arrays(
     labels: ArrayLike | None,
     stamps: ArrayLike | None,
     priors: Priors | Iterable[Priors] | None,
-    landmarks: Landmarks | None,
+    landmarks: Landmarks | Iterable[Landmarks | None] | None,
 ) -> PoseGraph:
     """See `PoseGraph.from_arrays`."""
     pairs = checks.pairs_of_ids(edges)
-    all_priors = joined(priors)
+    all_priors, landmarks = joined(priors), joined_landmarks(landmarks)
     z = checks.table("measurements", measurements)
     given = None if poses is None else checks.table("poses", poses)
     if z.shape[1] == 0:

@@ -18,7 +18,7 @@ from masat.assembly import Assembly, assemble, needs_assembly
 from masat.graph import PoseGraph
 from masat.groups import Groups
 from masat.information import measured_directions
-from masat.residuals import residuals
+from masat.residuals import range_bearing_by_position, residuals
 from masat.structure import eliminate
 
 # What is added to the diagonal of the scaled system, and the variance above which a direction
@@ -261,6 +261,11 @@ def _jacobians(assembly: Assembly, center: Floats, rows: Flags) -> tuple[Floats,
                 at = _core.rotation_matrices(np.ascontiguousarray(graph.sensor_offsets[rows]))
                 own = at.transpose(0, 2, 1) @ own
             jacobian[:, 3:, 3:] = sign / 2 * mixed @ own
+        if graph.range_bearing_edges is not None:
+            polar = graph.range_bearing_edges[rows]
+            jacobian[polar, :d] = (
+                range_bearing_by_position(graph, np.flatnonzero(rows)[polar]) @ jacobian[polar, :d]
+            )
         out.append(jacobian)
     return out[0], out[1]
 

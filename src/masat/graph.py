@@ -16,7 +16,14 @@ from masat import stamps as times
 from masat.arrays import Flags, Floats, Ids, Indices, Labels, Stamps, locked
 from masat.errors import GraphError
 from masat.information import partial
-from masat.measurements import Landmarks, Priors, check_landmarks, check_priors, joined
+from masat.measurements import (
+    Landmarks,
+    Priors,
+    check_landmarks,
+    check_priors,
+    joined,
+    joined_landmarks,
+)
 from masat.structure import Structure, joint_structure
 
 # The fields that the structure depends on, and also holds.
@@ -117,7 +124,7 @@ class PoseGraph:
         labels: ArrayLike | None = None,
         stamps: ArrayLike | None = None,
         priors: Priors | Iterable[Priors] | None = None,
-        landmarks: Landmarks | None = None,
+        landmarks: Landmarks | Iterable[Landmarks | None] | None = None,
     ) -> PoseGraph:
         """Check the arrays and make a graph of copies of them.
 
@@ -148,8 +155,8 @@ class PoseGraph:
         priors : Priors or iterable of Priors, optional
             Measurements in the world's frame: `masat.gps`, `masat.headings`, `masat.altitudes`,
             `masat.pose_priors`. A node that only priors name is added to the graph.
-        landmarks : Landmarks, optional
-            Points and their observations: `masat.landmarks`.
+        landmarks : Landmarks or iterable of Landmarks, optional
+            Points and their observations: `masat.landmarks`, `masat.range_bearing`.
 
         Returns
         -------
@@ -227,6 +234,11 @@ class PoseGraph:
     @property
     def sensor_offsets(self) -> Floats | None:
         """Where edges measure something else than the pose of the node that they lead to."""
+        return None
+
+    @property
+    def range_bearing_edges(self) -> Flags | None:
+        """Which edges measure the range and bearing of a landmark, if any can."""
         return None
 
     @cached_property
@@ -320,8 +332,10 @@ class PoseGraph:
             check_priors(new, self.dimension, self.ids, self.point_ids)
         return replace(self, priors=new)
 
-    def with_landmarks(self, landmarks: Landmarks | None) -> PoseGraph:
+    def with_landmarks(self, landmarks: Landmarks | Iterable[Landmarks | None] | None) -> PoseGraph:
         """Return the graph with these landmarks in place of those it has; None removes them.
+
+        To add some: ``graph.with_landmarks([graph.landmarks, more])``.
 
         Raises
         ------
@@ -330,6 +344,7 @@ class PoseGraph:
             landmarks are in 2D where the graph is in 3D or conversely, or if a prior of the graph
             names a landmark that would be gone: replace the priors first, with `with_priors`.
         """
+        landmarks = joined_landmarks(landmarks)
         if landmarks is not None:
             check_landmarks(landmarks, self.dimension, self.ids)
         out = replace(self, landmarks=landmarks)

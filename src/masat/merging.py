@@ -14,7 +14,6 @@ from masat.arrays import Flags, Ids, Indices
 from masat.editing import joined_labels
 from masat.errors import GraphError
 from masat.graph import PoseGraph
-from masat.measurements import landmarks
 from masat.renaming import shifted
 from masat.stamps import joined_stamps
 from masat.structure import NEW_SESSION, Structure
@@ -160,15 +159,7 @@ def _with_measurements(merged: PoseGraph, moved: list[tuple[PoseGraph, int]]) ->
         if part.landmarks is not None
     ]
     if seen:
-        known = [part.positions for part in seen if part.positions is not None]
-        all_landmarks = landmarks(
-            np.concatenate([part.observations for part in seen]),
-            np.concatenate([part.measurements for part in seen]),
-            np.concatenate([part.information for part in seen]),
-            ids=np.concatenate([part.ids for part in seen]),
-            positions=np.concatenate(known) if len(known) == len(seen) else None,
-        )
-        merged = merged.with_landmarks(all_landmarks)
+        merged = merged.with_landmarks(seen)
     return merged.with_priors(priors) if priors else merged
 
 

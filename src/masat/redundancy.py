@@ -11,7 +11,7 @@ from masat.arrays import Flags, Floats
 from masat.assembly import AssembledGraph
 from masat.covariance import change_of_frame, relative_covariances
 from masat.graph import PoseGraph
-from masat.residuals import residuals
+from masat.residuals import range_bearing_by_position, residuals
 
 
 class Whitened(NamedTuple):
@@ -62,8 +62,12 @@ def whitened(
         at_sensor = change_of_frame(lie.inverse(offsets))
         covariance = at_sensor @ covariance @ at_sensor.swapaxes(-1, -2)
     e = residuals(graph)
+    step = step_of_residual(e)
+    if graph.range_bearing_edges is not None:
+        edges, d = np.flatnonzero(graph.range_bearing_edges), graph.dimension
+        step[edges, :d] = range_bearing_by_position(graph, edges) @ step[edges, :d]
     half = _root(graph)
-    root = half @ step_of_residual(e)
+    root = half @ step
     predicted = root @ covariance @ root.swapaxes(-1, -2)
     sign = 1.0 if absent is None else np.where(absent, -1.0, 1.0)[:, None, None]
     return Whitened((half @ e[..., None])[..., 0], np.eye(graph.dof) - sign * predicted)

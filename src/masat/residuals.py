@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from masat import _core, lie
-from masat.arrays import Floats
+from masat.arrays import Floats, Ids
 from masat.errors import GraphError
 
 if TYPE_CHECKING:
     from masat.graph import PoseGraph
+    from masat.measurements import Landmarks
 
 
 def residuals(graph: PoseGraph, poses: Floats | None = None) -> Floats:
@@ -31,8 +32,35 @@ def residuals(graph: PoseGraph, poses: Floats | None = None) -> Floats:
         as in g2o: meters, radians in 2D, the sine of half the angle in 3D.
     """
     return _core.residuals(
-        graph.topology, graph.measurements, _poses(graph, poses), graph.sensor_offsets
+        graph.topology,
+        graph.measurements,
+        _poses(graph, poses),
+        graph.sensor_offsets,
+        graph.range_bearing_edges,
     )
+
+
+def range_bearing_by_position(graph: PoseGraph, edges: Ids) -> Floats:
+    """Return the derivatives of ranges and bearings by positions in the frames measured.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        A graph with poses.
+    edges : ndarray of int, (k,)
+        Indices of edges that measure range and bearing.
+
+    Returns
+    -------
+    ndarray, (k, d, d)
+    """
+    poses, d = _poses(graph, None), graph.dimension
+    i, j = graph.edge_indices[edges].T
+    z = graph.measurements[edges]
+    ranges = np.sqrt(np.square(z[:, :d]).sum(axis=1))
+    z[:, :d] = 0
+    ahead = lie.between(lie.compose(poses[i], z), poses[j])[:, :d]
+    return _core.range_bearing_errors(np.ascontiguousarray(ahead), ranges)[1]
 
 
 def chi2_per_edge(graph: PoseGraph, poses: Floats | None = None) -> Floats:
@@ -43,6 +71,7 @@ def chi2_per_edge(graph: PoseGraph, poses: Floats | None = None) -> Floats:
         graph.information,
         _poses(graph, poses),
         graph.sensor_offsets,
+        graph.range_bearing_edges,
     )
 
 
@@ -71,9 +100,76 @@ def chi2_per_observation(graph: PoseGraph) -> Floats:
         return np.empty(0)
     poses = _poses(graph, None)[graph.index(seen.observations[:, 0])]
     points = _points(graph)[np.searchsorted(seen.ids, seen.observations[:, 1])]
-    d = graph.dimension
-    e = lie.between(poses, as_poses(points))[:, :d] - seen.measurements
+    e, _ = observation_errors(seen, poses, points)
     return np.asarray(np.einsum("ki,kij,kj->k", e, seen.information, e))
+
+
+def observation_errors(seen: Landmarks, poses: Floats, points: Floats) -> tuple[Floats, Floats]:
+    """Return the residual of each observation and its derivative by the point.
+
+    Parameters
+    ----------
+    seen : Landmarks
+        The observations.
+    poses : ndarray, (l, 3) or (l, 7)
+        The pose of each.
+    points : ndarray, (l, 2) or (l, 3)
+        The landmark of each.
+
+    Returns
+    -------
+    (errors, jacobians) : ndarray, (l, d), and ndarray, (l, d, d)
+        The point in the frame of the pose minus the measurement; or where range and bearing were
+        measured its distance minus the range, then the angle between its direction and the measured
+        one, in 3D to the left and up. The derivatives are by the point in the world's frame.
+    """
+    d = seen.dimension
+    into = _core.rotation_matrices(np.ascontiguousarray(poses)).transpose(0, 2, 1)
+    own = lie.between(poses, as_poses(points))[:, :d]
+    e, jacobians = own - seen.measurements, into
+    which = seen.is_range_bearing
+    if which.any():
+        towards = _core.rotation_matrices(directions(seen.measurements[which])).transpose(0, 2, 1)
+        q = np.einsum("kij,kj->ki", towards, own[which])
+        ranges = np.ascontiguousarray(seen.measurements[which, 0])
+        e[which], by_q = _core.range_bearing_errors(np.ascontiguousarray(q), ranges)
+        jacobians = jacobians.copy()
+        jacobians[which] = by_q @ towards @ into[which]
+    return e, jacobians
+
+
+def measured_poses(seen: Landmarks) -> Floats:
+    """Return each observation as the pose of the point in the frame of the pose that saw it.
+
+    Where range and bearing were measured, its x axis points in the measured direction. A range that
+    was not measured is 0.
+    """
+    out = as_poses(seen.measurements)
+    which = seen.is_range_bearing
+    if which.any():
+        ahead = np.zeros((int(which.sum()), seen.dimension))
+        ahead[:, 0] = seen.measurements[which, 0]
+        out[which] = lie.compose(directions(seen.measurements[which]), as_poses(ahead))
+    return out
+
+
+def directions(measurements: Floats) -> Floats:
+    """Return poses at the origin whose x axes point in measured directions.
+
+    Parameters
+    ----------
+    measurements : ndarray, (l, 2) or (l, 3)
+        Range, bearing and in 3D elevation.
+    """
+    out = as_poses(np.zeros_like(measurements))
+    if measurements.shape[1] == 2:
+        out[:, 2] = measurements[:, 1]
+        return out
+    left, up = measurements[:, 1] / 2, measurements[:, 2] / 2
+    # A rotation about z, then one about the new -y.
+    out[:, 3], out[:, 4] = np.sin(left) * np.sin(up), -np.cos(left) * np.sin(up)
+    out[:, 5], out[:, 6] = np.sin(left) * np.cos(up), np.cos(left) * np.cos(up)
+    return out
 
 
 def as_poses(points: Floats) -> Floats:

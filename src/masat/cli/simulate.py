@@ -71,13 +71,15 @@ def _landmarks(
     count, *more = text.split(":")
     try:
         numbers = [float(word) for word in more]
-        if len(numbers) <= 2:
-            return {"count": int(count)} | dict(zip(("sigma", "reach"), numbers, strict=False))
+        if len(numbers) <= 3:
+            names = ("sigma", "reach", "sigma_bearing")
+            return {"count": int(count)} | dict(zip(names, numbers, strict=False))
     except ValueError:
         pass
     raise click.BadParameter(
-        "expected a number of landmarks, perhaps with a colon and sigma in meters, and another "
-        f"colon and the reach in meters, as in 200 or 200:0.1:8; got {text!r:.40}"
+        "expected a number of landmarks, perhaps with a colon and sigma in meters, another colon "
+        "and the reach in meters, and another and sigma of the bearings in radians, as in 200 or "
+        f"200:0.1:8:0.01; got {text!r:.40}"
     )
 
 
@@ -156,9 +158,10 @@ def _spoiled(graph: PoseGraph, kind: str, fraction: float, seed: int) -> tuple[P
 @click.option(
     "--landmarks",
     callback=_landmarks,
-    metavar="COUNT[:SIGMA[:REACH]]",
+    metavar="COUNT[:SIGMA[:REACH[:BEARING]]]",
     help="Add points along the walk, and observations of them with a standard deviation of SIGMA "
-    "meters from poses at most REACH meters away.  [default: 0.1 m and 8 m]",
+    "meters from poses at most REACH meters away.  [default: 0.1 m and 8 m] With BEARING, ranges "
+    "with a standard deviation of SIGMA and bearings with one of BEARING radians.",
 )
 @click.option(
     "--seed",
@@ -236,7 +239,8 @@ def simulate(
             bad_count = int(is_bad.sum())
         if landmarks is not None:
             measured = add_landmarks(measured, **landmarks, seed=seed)
-            exact = add_landmarks(exact, **(landmarks | {"sigma": 0.0}), seed=seed)
+            none = {"sigma": 0.0} | ({"sigma_bearing": 0.0} if "sigma_bearing" in landmarks else {})
+            exact = add_landmarks(exact, **(landmarks | none), seed=seed)
     except MemoryError:
         raise MasatError("there is not enough memory for a world of this size") from None
     seen = measured.landmarks

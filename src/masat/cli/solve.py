@@ -13,7 +13,6 @@ from masat.cli.decisions import rejected_part, rows_of_decision
 from masat.cli.progress import Iterations, Stages
 from masat.formats import format_of, write
 from masat.graph import PoseGraph
-from masat.optimality.certificate import Certificate
 from masat.optimizers import Result
 from masat.outliers import Suspicion
 from masat.solver import solve as solved
@@ -173,7 +172,7 @@ def print_result(result: Result, times: dict[str, float], written: list[Path]) -
             *rows_of_decision(result),
             *_robust(result),
             ("stopped", result.message),
-            ("optimum", _optimum(result.certificate)),
+            ("optimum", _optimum(result)),
             ("reduced chi2", _quality(result.reduced_chi2)),
             ("not optimized", f"node {gauge}" if gauge else "nothing: measurements hold all nodes"),
             ("time", ", ".join(f"{k} {show.duration(v)}" for k, v in times.items())),
@@ -200,13 +199,19 @@ def _robust(result: Result) -> list[tuple[str, str]]:
     return [("robust cost", f"{result.robust_cost:.6g} with {result.loss}; weights: {said}")]
 
 
-def _optimum(certificate: Certificate | None) -> str:
+def _optimum(result: Result) -> str:
+    certificate, seen = result.certificate, result.graph.landmarks
     if certificate is None:
         return "not certified"
     said = f"{show.status(certificate)}: {certificate.message.partition(': ')[2]}"
     if certificate.better is not None:
         return f"{said}; masat certify -o writes it"
-    return said if certificate.certified else f"{said}; masat certify searches further"
+    without_bound = seen is not None and seen.range_bearing is not None
+    return (
+        said
+        if certificate.certified or without_bound
+        else f"{said}; masat certify searches further"
+    )
 
 
 def _quality(reduced: float | None) -> str:

@@ -5,7 +5,8 @@ translation and the vector part of the quaternion in 3D. A prior of a position r
 the world, an observation of a landmark to those of the sensor. PARAMS_SE2OFFSET and
 PARAMS_SE3OFFSET are poses of sensors in the frame of the robot, to which other lines refer by their
 ids. Source: Kuemmerle et al., g2o: a general
-framework for graph optimization, ICRA 2011.
+framework for graph optimization, ICRA 2011. g2o knows bearings in 2D alone; other ranges and
+bearings have tags of masat's own, EDGE_RANGE_BEARING_SE2_XY and EDGE_RANGE_BEARING_SE3_XYZ.
 """
 
 from __future__ import annotations
@@ -21,13 +22,15 @@ from masat.formats.labels import label_texts
 from masat.formats.stamps import stamp_texts
 from masat.formats.table import Format, Kind, PoseText, Record
 from masat.graph import PoseGraph
-from masat.measurements import Priors
+from masat.measurements import Landmarks, Priors
 
 _TAGS = {2: ("VERTEX_SE2", "EDGE_SE2"), 3: ("VERTEX_SE3:QUAT", "EDGE_SE3:QUAT")}
 _POINT_TAGS = {2: ("VERTEX_XY", "EDGE_SE2_XY"), 3: ("VERTEX_TRACKXYZ", "EDGE_SE3_TRACKXYZ")}
+_BEARING_TAG = "EDGE_BEARING_SE2_XY"
+# g2o has no tag for a range: these are masat's own, built as g2o's are.
+_RANGE_TAGS = {2: "EDGE_RANGE_BEARING_SE2_XY", 3: "EDGE_RANGE_BEARING_SE3_XYZ"}
 # Tags of the types slam2d, slam3d and their add-ons that are skipped, and what they mean.
 _SKIPPED = {
-    "EDGE_BEARING_SE2_XY": "bearings of landmarks",
     "EDGE_SE2_XY_CALIB": "observations of landmarks whose sensor offset is estimated too",
     "EDGE_SE2_OFFSET": "relative poses of two sensors",
     "EDGE_SE3_OFFSET": "relative poses of two sensors",
@@ -141,12 +144,35 @@ def _measured(graph: PoseGraph) -> bytes:
     if priors is not None:
         text += _prior_lines(priors, of_prior, np.isin(priors.ids, graph.point_ids))
     if seen is not None:
-        ids = seen.observations
-        if d == 3:
-            ids = np.column_stack([ids, np.zeros(len(ids), np.int64)])
-        values = np.hstack([seen.measurements, _upper(seen.information)])
-        text += format_lines(_POINT_TAGS[d][1], np.ascontiguousarray(ids), values)
+        text += _observation_lines(seen)
     return text
+
+
+def _observation_lines(seen: Landmarks) -> bytes:
+    """Return the lines of observations in their order: one block a run of the same tag."""
+    d, polar = seen.dimension, seen.is_range_bearing
+    bearing_alone = polar & (d == 2) & ~seen.information[:, 0].any(axis=1)
+    bearing_alone &= seen.measurements[:, 0] == 0
+    text = b""
+    for run in _runs(np.where(bearing_alone, 2, polar)):
+        ids, z, w = seen.observations[run], seen.measurements[run], seen.information[run]
+        if bearing_alone[run[0]]:
+            tag, z, w = _BEARING_TAG, z[:, 1:], w[:, 1:, 1:]
+        elif polar[run[0]]:
+            tag = _RANGE_TAGS[d]
+        else:
+            tag = _POINT_TAGS[d][1]
+            if d == 3:
+                ids = np.column_stack([ids, np.zeros(len(ids), np.int64)])
+        text += format_lines(tag, np.ascontiguousarray(ids), np.hstack([z, _upper(w)]))
+    return text
+
+
+def _runs(kind: Ids) -> list[Ids]:
+    """Return the indices of each run of equal values."""
+    if len(kind) == 0:
+        return []
+    return np.split(np.arange(len(kind)), np.flatnonzero(np.diff(kind)) + 1)
 
 
 def _prior_lines(priors: Priors, parameters: Ids, on_point: Flags) -> bytes:
@@ -156,9 +182,8 @@ def _prior_lines(priors: Priors, parameters: Ids, on_point: Flags) -> bytes:
     turned |= (priors.measurements[:, d:] != lie.identity(d)[d:]).any(axis=1)
     # In 3D there is no tag that all versions of g2o read for a position alone.
     kind = np.where(on_point, 0, np.where(turned | (d == 3), 2, 1))
-    runs = np.split(np.arange(len(kind)), np.flatnonzero(np.diff(kind)) + 1)
     text = b""
-    for run in runs:
+    for run in _runs(kind):
         ids, z = priors.ids[run][:, None], priors.measurements[run]
         w = priors.information[run]
         if kind[run[0]] == 0:
@@ -213,6 +238,9 @@ FORMAT = Format(
         Record("EDGE_SE2_XY", Kind.OBSERVATION, PoseText.XY),
         Record("EDGE_SE2_POINTXY_OFFSET", Kind.OBSERVATION, PoseText.XY, parameter=True),
         Record("EDGE_SE3_TRACKXYZ", Kind.OBSERVATION, PoseText.XYZ, parameter=True),
+        Record(_BEARING_TAG, Kind.OBSERVATION, PoseText.BEARING),
+        Record(_RANGE_TAGS[2], Kind.OBSERVATION, PoseText.RANGE_BEARING),
+        Record(_RANGE_TAGS[3], Kind.OBSERVATION, PoseText.RANGE_BEARING_ELEVATION),
         Record("PARAMS_SE2OFFSET", Kind.PARAMETER),
         Record("PARAMS_SE3OFFSET", Kind.PARAMETER, PoseText.XYZ_QUATERNION),
     ),

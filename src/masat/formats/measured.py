@@ -79,13 +79,15 @@ def _landmarks(parsed: _core.ParsedGraph, sensors: Floats, path: Path) -> Landma
     z, w = parsed["observations"], parsed["observation_information"]
     lines = parsed["observation_lines"]
     wanted = parsed["observation_parameters"]
+    polar = parsed["observation_range_bearing"].astype(np.bool_)
     offsets = _offsets(parsed["parameter_ids"], sensors, wanted, lines, path)
     if offsets is not None:
-        d = z.shape[1]
-        z = lie.compose(offsets, as_poses(z))[:, :d]
-        turn = _core.rotation_matrices(offsets)
-        w = turn @ w @ turn.transpose(0, 2, 1)
-        w = 0.5 * (w + w.transpose(0, 2, 1))
+        # Lines of ranges and bearings refer to no parameter.
+        d, own = z.shape[1], np.flatnonzero(~polar)
+        z[own] = lie.compose(offsets[own], as_poses(z[own]))[:, :d]
+        turn = _core.rotation_matrices(offsets[own])
+        moved = turn @ w[own] @ turn.transpose(0, 2, 1)
+        w[own] = 0.5 * (moved + moved.transpose(0, 2, 1))
     with_points = len(ids) > 0
     try:
         return landmarks(
@@ -94,6 +96,7 @@ def _landmarks(parsed: _core.ParsedGraph, sensors: Floats, path: Path) -> Landma
             w,
             ids=ids if with_points else None,
             positions=parsed["points"] if with_points else None,
+            range_bearing=polar,
         )
     except GraphError as error:
         if error.node is not None:

@@ -8,7 +8,9 @@ from typing import Protocol
 
 from masat import _core
 from masat.assembly import Assembly, assemble, needs_assembly
+from masat.determinacy import with_undetermined_kept
 from masat.errors import InitializationError, MasatWarning
+from masat.freedoms import degrees_of_freedom
 from masat.graph import PoseGraph
 from masat.initializers.auto import auto
 from masat.initializers.cauchy import cauchy
@@ -20,12 +22,22 @@ from masat.initializers.masat import masat
 from masat.initializers.most_informed_first import most_informed_first
 from masat.initializers.odometry import odometry
 from masat.initializers.placing import given_assembly, placed_assembly
+from masat.initializers.roots import notes_of_components
 from masat.initializers.spanning_tree import spanning_tree
 from masat.initializers.spectral import spectral
 from masat.initializers.toro import toro
+from masat.initializers.triangulation import as_positions, is_plausible, with_points
 from masat.optimality.best import best_minimum
+from masat.optimizers import optimize
 from masat.optimizers.equations import normal_equations
+from masat.outliers import Suspicion, describe_outliers
 from masat.progress import Progress
+
+# Operations of a factorization above which the search does not go on from a minimum of plausible
+# chi2: with bearings much more exact than ranges, or less, the proof that it is the lowest fails.
+_EXPENSIVE = 1e9
+# The change of chi2 that is near enough to a minimum of the positions for a guess.
+_TOLERANCE = 1e-4
 
 
 class Initializer(Protocol):
@@ -153,15 +165,73 @@ def guess_of_assembly(
         raise InitializationError(
             f"unknown initial guess {method!r}; known: {', '.join(INITIALIZERS)}"
         )
+    seen = assembly.source.landmarks
+    if seen is not None and seen.range_bearing is not None:
+        assembly, notes = _with_positions_found(assembly, method, seed, progress, threads)
+        placed, kept = with_undetermined_kept(assembly)
+        if any(isinstance(note, Suspicion) for note in notes):
+            # What was said of the positions may not hold for the ranges and bearings.
+            notes = [note for note in notes if not isinstance(note, Suspicion)]
+            notes += describe_outliers(placed.graph)
+        notes += notes_of_components(assembly.source) + kept
+        return placed.with_notes(notes), normal_equations(placed.graph, threads)
+    placed, notes, kept, equations = _placed(assembly, method, seed, progress, threads)
+    if method != "given":
+        notes = [*notes_of_components(assembly.source), *notes]
+    return placed.with_notes([*notes, *kept]), equations
+
+
+def _placed(
+    assembly: Assembly,
+    method: str,
+    seed: int,
+    progress: Progress | None,
+    threads: int | None,
+) -> tuple[Assembly, list[str], list[str], _core.NormalEquations]:
+    """Return an assembly with poses, notes of the guess, what is not determined, and equations."""
     if method == "given":
-        placed, notes = given_assembly(assembly)
-    else:
-        first = chordal if method in SEARCHES else INITIALIZERS[method]
-        placed, notes = placed_assembly(assembly, first)
-    graph = placed.graph
-    assert graph.poses is not None
-    poses, equations = graph.poses, normal_equations(graph, threads)
+        placed, kept = given_assembly(assembly)
+        return placed, [], kept, normal_equations(placed.graph, threads)
+    first = chordal if method in SEARCHES else INITIALIZERS[method]
+    placed, notes, kept = placed_assembly(assembly, first)
+    equations = normal_equations(placed.graph, threads)
     if method in SEARCHES:
-        found = best_minimum(graph, seed=seed, progress=progress, equations=equations)
-        poses, notes = found.poses, [*notes, *found.notes]
-    return replace(placed, graph=graph.with_poses(poses, notes=notes)), equations
+        found = best_minimum(placed.graph, seed=seed, progress=progress, equations=equations)
+        placed, notes = placed.at(found.poses), [*notes, *found.notes]
+    return placed, notes, kept, equations
+
+
+def _with_positions_found(
+    assembly: Assembly,
+    method: str,
+    seed: int,
+    progress: Progress | None,
+    threads: int | None,
+) -> tuple[Assembly, list[str]]:
+    """Return an assembly with ranges and bearings with poses and points, and notes of the guess."""
+    source = assembly.source
+    if method == "given" and source.points is not None:
+        return given_assembly(assembly)[0], []
+    in_positions = source.with_priors(None).with_landmarks(as_positions(source))
+    in_positions = in_positions.with_priors(source.priors)
+    positions = assemble(in_positions)
+    expensive = positions.graph.elimination.operations(source.dof) > _EXPENSIVE
+    first = "chordal" if expensive and method in SEARCHES else method
+    known, notes, _, equations = _placed(positions, first, seed, progress, threads)
+    if first != method:
+        fit = optimize(
+            known.graph, relative_tolerance=_TOLERANCE, progress=progress, equations=equations
+        )
+        known = known.at(fit.poses)
+        if not is_plausible(fit.chi2, degrees_of_freedom(in_positions)):
+            found = best_minimum(known.graph, seed=seed, progress=progress, equations=equations)
+            known, notes = known.at(found.poses), [*notes, *found.notes]
+    assert known.graph.poses is not None
+    guess, more = with_points(source, known.disassembled(known.graph.poses), progress)
+    parts = int(in_positions.components.max()) - int(source.components.max())
+    if parts > 0:
+        notes.append(
+            f"{parts + 1} parts of the graph are joined by bearings alone or ranges alone: how "
+            "they lie to each other is arbitrary in the initial guess"
+        )
+    return assemble(guess), notes + more

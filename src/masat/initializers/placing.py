@@ -30,8 +30,10 @@ from masat.optimizers.translations import solve_translations
 
 def placed_assembly(
     assembly: Assembly, method: Callable[[PoseGraph], PoseGraph]
-) -> tuple[Assembly, list[str]]:
+) -> tuple[Assembly, list[str], list[str]]:
     """Return the assembly with poses of all nodes, complete with what is not determined, and notes.
+
+    The first notes are those of the guess, the others say what is not determined.
 
     Parameters
     ----------
@@ -50,12 +52,11 @@ def placed_assembly(
     notes = [note for note in guess.notes if note not in told]
     placing = _Placing(assembly, guess.poses)
     placing.run()
-    notes += notes_of_components(source)
     complete, more = with_undetermined_kept(assembly.at(placing.poses))
     if placing.moved_as_one:
         # The first step of an optimizer improves the translations as much.
-        return complete, notes + more
-    return _with_better_translations(complete), notes + more
+        return complete, notes, more
+    return _with_better_translations(complete), notes, more
 
 
 def given_assembly(assembly: Assembly) -> tuple[Assembly, list[str]]:

@@ -48,4 +48,5 @@ def saved_landmarks(arrays: Mapping[str, AnyArray]) -> Landmarks | None:
         arrays["landmarks_information"],
         ids=arrays["landmarks_ids"],
         positions=arrays.get("landmarks_positions", None),
+        range_bearing=arrays.get("landmarks_range_bearing", False),
     )

@@ -166,6 +166,8 @@ def _certify_assembly(
     if graph.landmarks is not None and graph.points is None:
         raise OptimizationError("the landmarks have no positions: there is nothing to certify")
     assert graph.poses is not None
+    if graph.landmarks is not None and graph.landmarks.range_bearing is not None:
+        return _without_bound(graph, threads, progress)
     # Fixes are often kilometers from the origin, where rounding hides what has to be proven.
     middle = graph.poses[:, : graph.dimension].mean(axis=0)
     assembly = assemble(translated(graph, -middle))
@@ -178,6 +180,20 @@ def _certify_assembly(
     if found.better is not None and found.better.poses is not None:
         better = translated(assembly.disassembled(found.better.poses), middle)
     return replace(found, better=better)
+
+
+def _without_bound(graph: PoseGraph, threads: int | None, progress: Progress) -> Certificate:
+    """Refute the poses of a graph with ranges and bearings, or leave them undecided."""
+    initial = graph.chi2
+    best = optimize(graph, relative_tolerance=1e-12, threads=threads, progress=progress)
+    if initial - best.chi2 > TIGHT / 2 * best.chi2:
+        message = f"not optimal: a minimum has chi2 {best.chi2:.8g}, lower than {initial:.8g}"
+        return Certificate("refuted", message, initial, 0.0, best.chi2, best.graph)
+    message = (
+        "not decided: there is no bound of chi2 with observations of range or bearing, whose "
+        "residuals are not linear in the position; give them as positions to certify the map"
+    )
+    return Certificate("undecided", message, initial, 0.0, min(initial, best.chi2), None)
 
 
 def _certify(

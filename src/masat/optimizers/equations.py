@@ -59,6 +59,7 @@ def normal_equations(graph: PoseGraph, threads: int | None = None) -> _core.Norm
         graph.information,
         worthwhile_threads(graph) if threads is None else checked_threads(threads),
         graph.sensor_offsets,
+        graph.range_bearing_edges,
     )
 
 

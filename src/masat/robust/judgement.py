@@ -11,6 +11,7 @@ import numpy as np
 from masat.arrays import Flags, Floats, Ids
 from masat.assembly import AssembledGraph, Assembly
 from masat.graph import PoseGraph
+from masat.initializers import guess_of_assembly
 from masat.initializers.placing import placed_assembly
 from masat.optimizers import optimize
 from masat.optimizers.equations import normal_equations
@@ -88,7 +89,11 @@ def judge(
         What limits the time.
     """
     progress = progress or Progress()
-    placed, _ = placed_assembly(assembly, initialize)
+    seen = assembly.source.landmarks
+    if seen is None or seen.range_bearing is None:
+        placed = placed_assembly(assembly, initialize)[0]
+    else:
+        placed, _ = guess_of_assembly(assembly, "chordal", threads=threads)
     graph = placed.graph
     judged = np.zeros(len(graph.edges), np.bool_)
     judged[: len(doubtful)] = doubtful

@@ -9,6 +9,7 @@ from masat.arrays import Floats, Ids
 from masat.errors import GraphError
 from masat.graph import PoseGraph
 from masat.measurements import landmarks
+from masat.residuals import as_poses, directions
 from masat.worlds.closures import MAX_COUNT, check_integers, check_seed
 from masat.worlds.fixes import check_length, true_poses
 from masat.worlds.noise import ZERO_SIGMA
@@ -28,6 +29,7 @@ def add_landmarks(
     count: int,
     *,
     sigma: float = 0.1,
+    sigma_bearing: float | None = None,
     reach: float = 8.0,
     observations: int | None = None,
     seed: int = 0,
@@ -46,6 +48,9 @@ def add_landmarks(
     sigma : float
         Standard deviation of each coordinate of an observation, in meters. A sigma of 0 leaves the
         observations exact, with the information of `ZERO_SIGMA`.
+    sigma_bearing : float, optional
+        Standard deviation of a direction in radians: range and bearing are observed in the place of
+        coordinates, and `sigma` is that of the range.
     reach : float
         Largest distance at which a pose observes a landmark, in meters.
     observations : int, optional
@@ -67,6 +72,7 @@ def add_landmarks(
     """
     check_integers(count=count, observations=0 if observations is None else observations)
     check_length("the sigma of observations", sigma)
+    check_length("the sigma of bearings", sigma_bearing or 0.0)
     check_length("the reach of observations", reach)
     check_seed(seed)
     poses = true_poses(graph, "landmarks")
@@ -89,17 +95,49 @@ def add_landmarks(
     pairs = _drawn(_within_reach(poses[:, :d], points, reach), count, observations, random)
     at = np.tile(lie.identity(d), (len(pairs), 1))
     at[:, :d] = points[pairs[:, 1]]
-    seen = lie.between(poses[pairs[:, 0]], at)[:, :d] + sigma * random.normal(size=(len(pairs), d))
+    seen, noise = lie.between(poses[pairs[:, 0]], at)[:, :d], random.normal(size=(len(pairs), d))
+    sigmas = np.full(d, sigma)
+    if sigma_bearing is None:
+        seen = seen + sigma * noise
+    else:
+        sigmas[1:] = sigma_bearing
+        seen = ranges_and_bearings(seen, sigmas * noise)
     ids = int(graph.ids[-1]) + 1 + np.arange(count)
     return graph.with_landmarks(
         landmarks(
             np.column_stack([graph.ids[pairs[:, 0]], ids[pairs[:, 1]]]),
             seen,
-            np.eye(d) / (sigma or ZERO_SIGMA) ** 2,
+            np.diag(1 / np.square(np.where(sigmas > 0, sigmas, ZERO_SIGMA))),
             ids=ids,
             positions=points,
+            range_bearing=sigma_bearing is not None,
         )
     )
+
+
+def ranges_and_bearings(points: Floats, noise: Floats) -> Floats:
+    """Return range, bearing and in 3D elevation of points seen with noise.
+
+    Parameters
+    ----------
+    points : ndarray, (l, 2) or (l, 3)
+        In the frame of the sensor.
+    noise : ndarray, (l, 2) or (l, 3)
+        Errors of the range in meters and of the direction in radians, to the left and up.
+    """
+    d = points.shape[1]
+
+    def spherical(of: Floats) -> Floats:
+        flat = np.hypot(of[:, 0], of[:, 1])
+        angles = [np.arctan2(of[:, 1], of[:, 0]), np.arctan2(of[:, 2:].sum(axis=1), flat)]
+        return np.stack([np.linalg.norm(of, axis=1), *angles[: d - 1]], axis=1)
+
+    exact = spherical(points)
+    turned = np.linalg.norm(noise[:, 1:], axis=1)
+    ahead = np.column_stack([np.cos(turned), noise[:, 1:] * np.sinc(turned / np.pi)[:, None]])
+    out = spherical(lie.compose(directions(exact), as_poses(ahead))[:, :d])
+    out[:, 0] = np.abs(exact[:, 0] + noise[:, 0])
+    return out
 
 
 def _within_reach(positions: Floats, points: Floats, reach: float) -> Ids:
