@@ -88,24 +88,22 @@ def read_without_warnings(
     if not isinstance(max_bytes, int) or max_bytes < 1:
         raise FormatError(f"max_bytes must be a positive integer, got {max_bytes!r}", path)
     try:
-        table, parsed, notes = _parse(path, format, max_bytes)
-        return _graph(table, parsed, path, indefinite, notes)
+        text = load_text(path, max_bytes)
+        table, notes = _format(format, text, path)
+        if table.read_text is not None:
+            return table.read_text(text, path)
+        parsed = _parsed(text, table, path)
+        return _graph(table, parsed, path, indefinite, notes + _notes(parsed, table.skipped))
     except MemoryError:
         raise FormatError("there is not enough memory to read this file", path) from None
 
 
-def _parse(
-    path: Path, name: str | None, max_bytes: int
-) -> tuple[Format, _core.ParsedGraph, list[str]]:
-    """Return the format of a file, its contents and the notes about them."""
-    text = load_text(path, max_bytes)
-    table, notes = _format(name, text, path)
+def _parsed(text: bytes, table: Format, path: Path) -> _core.ParsedGraph:
     try:
-        parsed = _core.parse(text, table.records)
+        return _core.parse(text, table.records)
     except _core.ParseError as error:
         line, message = error.args
         raise FormatError(message, path, line) from None
-    return table, parsed, notes + _notes(parsed, table.skipped)
 
 
 def _format(name: str | None, text: bytes, path: Path) -> tuple[Format, list[str]]:

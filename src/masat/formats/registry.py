@@ -6,7 +6,7 @@ from pathlib import Path
 
 from masat import _core
 from masat.errors import FormatError
-from masat.formats import g2o, isam, kitti, toro, tum, untagged
+from masat.formats import g2o, isam, jrl, kitti, toro, tum, untagged
 from masat.formats.table import Format
 
 # Where two formats know equally many lines of a file, the earlier one is taken. A TORO file with
@@ -21,6 +21,7 @@ FORMATS: dict[str, Format] = {
         kitti.FORMAT,
         untagged.TRAJECTORY,
         untagged.EDGE_LIST,
+        jrl.FORMAT,
     )
 }
 
@@ -41,6 +42,8 @@ def recognize(text: bytes, path: Path) -> tuple[Format, list[str]]:
     """
     if b"\0" in text[:4096]:
         raise FormatError("a binary file, expected the text of a pose graph", path)
+    if text[:4096].lstrip().startswith(b"{"):
+        return jrl.FORMAT, []
     counts = _core.count_tags(text)
     if not counts:
         raise FormatError("the file is empty, expected the lines of a pose graph", path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from masat._core import InformationText, Kind, PoseText, Record
@@ -30,6 +31,8 @@ class Format:
         Tags whose lines are skipped knowingly, and what they hold.
     columns : tuple of int
         Number of columns of the lines without a tag, if the format has such lines.
+    read_text : callable or None
+        Function that reads a text that does not consist of lines, given the path for its errors.
     format_graph : callable or None
         Function that returns the text of a graph; None if the format can only be read.
     suffixes : tuple of str
@@ -42,6 +45,7 @@ class Format:
     summary: str
     records: tuple[Record, ...]
     columns: tuple[int, ...] = ()
+    read_text: Callable[[bytes, Path], PoseGraph] | None = None
     format_graph: Callable[[PoseGraph], bytes] | None = None
     suffixes: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
