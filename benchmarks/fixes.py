@@ -3,6 +3,7 @@
     python -m benchmarks.fixes cost [GRAPH ..]
     python -m benchmarks.fixes offsets [GRAPH ..] [--trials N]
     python -m benchmarks.fixes certificates [FILE ..]
+    python -m benchmarks.fixes robust [GRAPH ..] [--trials N]
 
 Every 20th node gets a fix at the best map, which is moved by a random motion. Its standard
 deviation is half a meter, or one percent of a map that is smaller than 50 m. Where the residuals of
@@ -17,6 +18,7 @@ import tempfile
 import warnings
 from functools import partial
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 
@@ -28,6 +30,7 @@ from masat import lie
 from masat.arrays import Floats
 
 _SIGMA, _PART, _EVERY = 0.5, 0.01, 20
+_BAD, _BAD_METERS = 0.3, 50.0
 _GRAPHS = ("2d/input_M3500_g2o.g2o", "2d/kitti_00.g2o", "3d/sphere2500.g2o")
 _SUFFIXES = (".g2o", ".g2o.gz", ".txt", ".txt.gz", ".graph")
 # The reduced chi2 of graphs that hold the measurements of a solved map.
@@ -106,6 +109,52 @@ def offsets(names: list[str], trials: int) -> None:
         )
 
 
+def robust(names: list[str], trials: int) -> None:
+    """Print what a robust solve makes of fixes of which 30 % are 50 m off."""
+    print(
+        "30 % of the fixes 50 m off: bad fixes kept, good ones rejected, closures rejected, in all"
+    )
+    print(
+        "trials; largest distance of a map from that of the good fixes alone; median of the times"
+    )
+    print(f"{'graph':24} trials   kept  rejected  closures   rmse, m       s   plain solves")
+    for name in names:
+        alone = masat.solve(quietly_read(DATA / name))
+        d, rows = alone.graph.dimension, []
+        for seed in range(trials):
+            fixed = with_fixes(alone, motion(seed, d))
+            rng = np.random.default_rng([seed, 1])
+            priors, count = fixed.priors, round(_BAD * len(fixed.priors or ()))
+            assert priors is not None
+            bad = np.zeros(len(priors), np.bool_)
+            bad[rng.choice(len(priors), count, replace=False)] = True
+            off = rng.normal(size=(count, d))
+            off *= _BAD_METERS / np.linalg.norm(off, axis=1, keepdims=True)
+            where = priors.measurements[:, :d].copy()
+            where[bad] += off
+            sigma = priors.information[0, 0, 0] ** -0.5
+            wrong = fixed.with_priors(masat.gps(priors.ids, where, sigma))
+            start = perf_counter()
+            clean = masat.solve(wrong.with_priors(wrong.priors.rows(~bad)), threads=1)
+            plain = perf_counter() - start
+            start = perf_counter()
+            found = masat.solve(wrong, robust=True, threads=1)
+            seconds = perf_counter() - start
+            assert found.decision is not None
+            kept = found.decision.kept_priors
+            apart = np.square(found.poses[:, :d] - clean.poses[:, :d]).sum(axis=1).mean() ** 0.5
+            counts = np.sum(kept & bad), np.sum(~kept & ~bad), np.sum(~found.decision.kept)
+            rows.append((*counts, apart, seconds, seconds / plain))
+        table = np.array(rows)
+        kept, rejected, closures = table[:, :3].sum(axis=0).astype(int)
+        seconds, units = np.median(table[:, 4:], axis=0)
+        print(
+            f"{Path(name).name:24} {trials:6d} {kept:6d} {rejected:9d} {closures:9d} "
+            f"{table[:, 3].max():9.2e} {seconds:7.2f} {units:14.1f}",
+            flush=True,
+        )
+
+
 def certificates(names: list[str]) -> None:
     """Print which maps are certified without fixes, with fixes, and with half the map turned."""
     print(f"{'graph':34} {'without':>10} {'with fixes':>10} {'half turned':>11}")
@@ -153,7 +202,7 @@ def main() -> None:
     single_threaded()
     warnings.simplefilter("ignore", masat.MasatWarning)
     parser = argparse.ArgumentParser(prog="python -m benchmarks.fixes")
-    parser.add_argument("table", choices=("cost", "offsets", "certificates"))
+    parser.add_argument("table", choices=("cost", "offsets", "certificates", "robust"))
     parser.add_argument("graphs", nargs="*")
     parser.add_argument("--trials", type=int, default=100)
     arguments = parser.parse_args(sys.argv[1:])
@@ -161,6 +210,8 @@ def main() -> None:
         cost(arguments.graphs or list(_GRAPHS))
     elif arguments.table == "offsets":
         offsets(arguments.graphs or list(_GRAPHS), arguments.trials)
+    elif arguments.table == "robust":
+        robust(arguments.graphs or list(_GRAPHS), min(arguments.trials, 20))
     else:
         certificates(arguments.graphs or public_graphs())
 
