@@ -183,6 +183,28 @@ def test_fixed_nodes_in_a_frame_of_their_own_do_not_contradict_the_fixes_of_othe
     assert_allclose(found, [(100, 53), (100, 54), (100, 55)], atol=1e-6)
 
 
+def test_fixed_nodes_of_sessions_without_poses_are_merged():
+    # As in files that have FIX and edges alone.
+    parts = [PoseGraph.from_arrays(p.edges, p.measurements, fixed=0) for p in (walk(3), walk(2))]
+    links = [(0, 2, 1, 0)], [STEP]
+    assert masat.merge(parts).fixed.tolist() == [0, 10**6]
+    assert masat.merge(parts, links).fixed.tolist() == [0]
+    with pytest.raises(GraphError, match="several fixed nodes of one component need poses"):
+        masat.merge(parts, links, common_frame=True)
+
+
+@pytest.mark.parametrize(
+    ("linked", "fixed"), [(True, [0]), (False, [0, 10**6])], ids=["linked", "apart"]
+)
+def test_headings_do_not_put_a_session_into_the_frame_of_the_world(linked, fixed):
+    session = walk(3, fixed=0).with_priors(masat.headings([1], [0.0], 0.1))
+    merged = masat.merge([session, session], ([(0, 2, 1, 0)], [STEP]) if linked else None)
+    assert merged.fixed.tolist() == fixed
+    result = masat.solve(merged)
+    assert result.chi2 < 1e-20
+    assert result.poses[3] == pytest.approx((3 if linked else 0, 0, 0))
+
+
 # --- maps of sessions ---
 
 

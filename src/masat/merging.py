@@ -14,6 +14,7 @@ from masat.arrays import Flags, Ids, Indices
 from masat.editing import joined_labels
 from masat.errors import GraphError
 from masat.graph import PoseGraph
+from masat.measurements import Priors
 from masat.renaming import shifted
 from masat.stamps import joined_stamps
 from masat.structure import NEW_SESSION, Structure
@@ -21,6 +22,8 @@ from masat.structure import NEW_SESSION, Structure
 # The ids of a session are shifted by a multiple of a power of ten that is at least this one, and
 # at least ten times the largest id.
 _MIN_BLOCK = 10**6
+# Information below this fraction of the largest is that of a direction that was not measured.
+_LEAST_RATIO = 1e-9
 
 
 def merge(
@@ -52,9 +55,9 @@ def merge(
         What to add to the ids of each graph, the first included; ``[0, 0]`` keeps those of two.
     common_frame : bool
         Whether the fixed nodes of all graphs are in one frame, and all remain fixed. By default,
-        graphs with priors are in the world's frame, and each other graph is in a frame of its own.
-        Of the graphs that links connect, those with priors keep their fixed nodes, or without any
-        priors the first one with fixed nodes does; those of the others are fixed no longer.
+        graphs with priors on positions are in the world's frame, and each other graph is in a frame
+        of its own. Of the graphs that links connect, those with such priors keep their fixed nodes,
+        or without any the first one with fixed nodes does; those of the others are fixed no longer.
 
     Returns
     -------
@@ -103,7 +106,7 @@ def merge(
     structure = Structure(
         nodes[order],
         np.concatenate([shifted(part.edges, shift) for part, shift in moved]),
-        np.sort(np.concatenate([shifted(part.fixed, shift) for part, shift in moved])),
+        np.empty(0, np.int64),
         parts[0].dof,
         np.concatenate([shifted(part.structure.roots, shift) for part, shift in moved]),
     )
@@ -116,7 +119,6 @@ def merge(
     elif have:
         missing = next(k for k in range(len(parts)) if k not in have)
         notes.append(f"the merged graph has no poses, since graph {missing} has none")
-    structure.check_fixed(poses)
     stamps = joined_stamps([part.stamps for part in parts])
     if stamps is None and any(part.stamps is not None for part in parts):
         missing = next(k for k, part in enumerate(parts) if part.stamps is None)
@@ -138,8 +140,12 @@ def merge(
     if between is not None:
         merged = _linked(merged, between, parts, shifts)
         merged = _with_note(merged, _unconnected(merged, session))
-    in_world = np.array([part.priors is not None for part in parts])
-    return merged if common_frame else _with_own_frames(merged, session, in_world)
+    # Links would refuse fixed nodes without poses that are fixed no longer in a moment.
+    fixed = np.sort(np.concatenate([shifted(part.fixed, shift) for part, shift in moved]))
+    if common_frame:
+        return merged.with_fixed(fixed)
+    in_world = np.array([bool(_measure_positions(part.priors).any()) for part in parts])
+    return _with_own_frames(merged, fixed, session, in_world)
 
 
 def _with_measurements(merged: PoseGraph, moved: list[tuple[PoseGraph, int]]) -> PoseGraph:
@@ -222,32 +228,46 @@ def _connected(count: int, pairs: Ids) -> Indices:
     return structure.components
 
 
-def _with_own_frames(merged: PoseGraph, session: Ids, in_world: Flags) -> PoseGraph:
+def _measure_positions(priors: Priors | None) -> Flags:
+    """Return which priors, (p,), measure a position, or a horizontal one in 3D."""
+    if priors is None:
+        return np.empty(0, np.bool_)
+    d = priors.dimension
+    values = np.linalg.eigvalsh(priors.information[:, :d, :d])
+    return np.asarray(values[:, -2] > _LEAST_RATIO * values[:, -1])
+
+
+def _with_own_frames(merged: PoseGraph, fixed: Ids, session: Ids, in_world: Flags) -> PoseGraph:
     """Return the graph with, in each component, only those fixed nodes that share a frame.
 
-    They are those of the sessions in the world's frame, given by a mask, where links or priors tie
-    the component to the world; in any other component they are those of its first session with any.
+    They are those of the sessions in the world's frame, given by a mask, where links or priors on
+    positions tie the component to the world; in any other component they are those of its first
+    session with any.
     """
-    where = merged.index(merged.fixed)
-    if len(where) < 2 and not in_world.any():
+    if len(fixed) == 0:
         return merged
-    component, own = merged.components[where], session[where]
-    first = np.full(int(merged.components.max()) + 1, len(in_world))
+    # Headings and altitudes do not tell where a frame lies.
+    priors = merged.priors
+    tied = merged.with_priors(None if priors is None else priors.rows(_measure_positions(priors)))
+    where = merged.index(fixed)
+    component, own = tied.components[where], session[where]
+    first = np.full(int(tied.components.max()) + 1, len(in_world))
     np.minimum.at(first, component, own)
     stays: Flags = own == first[component]
-    if merged.priors is not None:
-        joint = merged.joint_structure
-        tied = joint.components[joint.index(merged.fixed)] == joint.components[-1]
-        stays = np.where(tied, in_world[own], stays)
+    if tied.priors is not None:
+        joint = tied.joint_structure
+        to_world = joint.components[joint.index(fixed)] == joint.components[-1]
+        stays = np.where(to_world, in_world[own], stays)
+    merged = merged.with_fixed(fixed[stays])
     if stays.all():
         return merged
     others = ", ".join(map(str, np.unique(own[~stays])))
     note = (
         f"the fixed nodes of graphs {others} are fixed no longer, since links connect these to "
-        "another graph with fixed nodes or priors, in a frame of its own; if all are in one frame, "
-        "say so with common_frame=True (--common-frame)"
+        "another graph with fixed nodes or position fixes, in a frame of its own; if all are in "
+        "one frame, say so with common_frame=True (--common-frame)"
     )
-    return _with_note(merged.with_fixed(merged.fixed[stays]), note)
+    return _with_note(merged, note)
 
 
 def _with_note(graph: PoseGraph, note: str | None) -> PoseGraph:
