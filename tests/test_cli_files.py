@@ -95,3 +95,11 @@ def test_a_trajectory_says_in_one_line_what_it_does_not_hold(run, suffix):
     masat.write(graph.without_edges([0]), "fixes.g2o")
     _, _, err = run("convert", "fixes.g2o", f"out.{suffix}")
     assert "alone: 2 priors and 1 landmarks are not written" in err
+
+
+def test_rejected_measurements_are_no_trajectory(run, tmp_path):
+    Path("in.g2o").write_text(WORLD)
+    code, _, err = run("solve", "in.g2o", "--robust", "--rejected", "r.tum")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "masat: r.tum: a trajectory holds no rejected measurements; name a file that" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["in.g2o"]

@@ -383,6 +383,7 @@ def test_false_links_are_rejected_and_written(run):
     [
         (("a.g2o", "--rejected", "r.g2o"), "--rejected goes with --robust"),
         (("a.g2o", "--robust", "--no-solve"), "leave out --no-solve"),
+        (("a.g2o", "--robust", "--rejected", "r.kitti"), "a trajectory holds no rejected"),
         (("a.g2o", "-o", "a.g2o"), "is the input"),
         (("a.g2o", "no.g2o"), "no.g2o"),
         ((), "Missing argument"),

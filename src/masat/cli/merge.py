@@ -57,7 +57,7 @@ from masat.solver import solve as solved
     "--common-frame",
     is_flag=True,
     help="The fixed nodes of all sessions are in one frame, and remain fixed.  [default: sessions "
-    "with priors are in the world's frame, each other one in its own]",
+    "with position fixes are in the world's frame, each other one in its own]",
 )
 @click.option(
     "--solve/--no-solve",
@@ -88,8 +88,8 @@ def merge(
 ) -> None:
     """Merge the sessions in FILE... into one map.
 
-    Each session has ids of its own, and a frame of its own unless it has priors, such as position
-    fixes. No initial guess is needed between them. A line of LINKS says where they meet:
+    Each session has ids of its own, and a frame of its own unless it has position fixes. No initial
+    guess is needed between them. A line of LINKS says where they meet:
 
     \b
         session id session id   x y theta   information
@@ -108,9 +108,9 @@ def merge(
         raise click.UsageError("--rejected goes with --robust")
     for source in (*files, links):
         options.check_outputs(source, out, rejected)
-    for target in (out, rejected):
-        if target is not None:
-            format_of(target)
+    if out is not None:
+        format_of(out)
+    options.check_rejected(rejected)
     begin = perf_counter()
     parts = [options.load(file, file_format, indefinite, quiet) for file in files]
     between = None if links is None else read_links(links)
@@ -120,7 +120,7 @@ def merge(
     if show_ids:
         _print_ids(table, as_json)
         return
-    options.check_stamps(graph, out, rejected)
+    options.check_stamps(graph, out)
     known = {note for part in parts for note in part.notes}
     result = None
     if with_map:

@@ -92,6 +92,14 @@ def check_stamps(graph: PoseGraph, *targets: Path | None) -> None:
             check_needs(graph, target, FORMATS[format_of(target)], ("stamps",))
 
 
+def check_rejected(target: Path | None) -> None:
+    """Refuse a file of rejected measurements whose format has no place for edges."""
+    if target is not None and "poses" in FORMATS[format_of(target)].needs:
+        raise MasatError(
+            f"{target}: a trajectory holds no rejected measurements; name a file that ends in .g2o"
+        )
+
+
 def notes(texts: Iterable[str]) -> None:
     """Print remarks on standard error."""
     for text in texts:

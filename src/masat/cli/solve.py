@@ -90,15 +90,15 @@ def solve(
         raise click.UsageError("--rejected goes with --robust")
     options.check_outputs(file, out, rejected, save, picture)
     options.check_picture(picture)
-    for target in (out, rejected):
-        if target is not None:
-            format_of(target)
+    if out is not None:
+        format_of(out)
+    options.check_rejected(rejected)
     if certify is None:
         certify = loss is None and (as_json or not quiet)
     begin = perf_counter()
     graph = options.load(file, file_format, indefinite, quiet)
     read_seconds = perf_counter() - begin
-    options.check_stamps(graph, out, rejected)
+    options.check_stamps(graph, out)
     stages = Stages(f"{file.name}  {init}", quiet=quiet)
     iterations = Iterations(file.name, max_iterations, quiet=quiet)
     with stages, iterations:
