@@ -317,3 +317,13 @@ def test_fixed_nodes_beside_landmarks_are_no_issue():
     assert not any("Every node is fixed" in issue for issue in masat.diagnose(graph).issues)
     nothing = graph.without_edges([0])
     assert not any("no edges" in issue for issue in masat.diagnose(nothing).issues)
+
+
+def test_no_chain_leads_from_one_session_to_the_next():
+    walk = PoseGraph.from_arrays([(0, 1), (1, 2)], STEPS[:2])
+    d = masat.diagnose(masat.merge([walk, walk], ([(0, 2, 1, 0), (0, 0, 1, 2)], STEPS[:2])))
+    assert (d.odometry_edges, d.loop_closures, d.chain_gaps) == (4, 2, 0)
+    broken = PoseGraph.from_arrays([(0, 1), (0, 2)], STEPS[:2])
+    merged = masat.merge([walk, broken], ([(0, 0, 1, 2)] * 2, STEPS[:2]))
+    issue = next(issue for issue in masat.diagnose(merged).issues if "chain" in issue)
+    assert "broken once, between nodes 1000001 and 1000002" in issue

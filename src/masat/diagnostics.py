@@ -10,7 +10,7 @@ from masat.arrays import Flags, Floats
 from masat.freedoms import degrees_of_freedom as _degrees_of_freedom
 from masat.graph import PoseGraph
 from masat.information import partial
-from masat.issues import duplicate_edges, find_issues, repeated_pairs
+from masat.issues import chain_edges, duplicate_edges, find_issues, repeated_pairs
 from masat.residuals import chi2_per_edge
 
 
@@ -30,7 +30,7 @@ class Diagnosis:
         The smallest and the largest node id.
     odometry_edges : int
         Number of edges between consecutive ids. In a list of ids with gaps, neighbors in the list
-        are consecutive.
+        are consecutive, but not the last node of a session and the first of the next.
     loop_closures : int
         Number of all other edges.
     chain_gaps : int
@@ -117,8 +117,7 @@ def diagnose(graph: PoseGraph) -> Diagnosis:
     Diagnosis
     """
     n, m = len(graph.ids), len(graph.edges)
-    low, high = np.sort(graph.edge_indices, axis=1).T
-    is_odometry = high - low == 1
+    is_odometry = chain_edges(graph)
     odometry_edges = int(is_odometry.sum())
     degree = np.bincount(graph.edge_indices.ravel(), minlength=n)
     eigenvalues = np.linalg.eigvalsh(graph.information).astype(np.float64)
@@ -138,7 +137,10 @@ def diagnose(graph: PoseGraph) -> Diagnosis:
         ids=(int(graph.ids[0]), int(graph.ids[-1])),
         odometry_edges=odometry_edges,
         loop_closures=m - odometry_edges,
-        chain_gaps=n - 1 - len(np.unique(low[is_odometry])),
+        chain_gaps=n
+        - 1
+        - len(graph.structure.session_begins)
+        - len(np.unique(graph.edge_indices[is_odometry].min(axis=1))),
         repeated_pairs=repeated_pairs(graph, without=np.empty(0, np.int64))[0],
         duplicate_edges=len(duplicate_edges(graph)),
         components=tuple(np.sort(np.bincount(graph.components))[::-1].tolist()),

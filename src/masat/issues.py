@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from masat.arrays import Ids
+from masat.arrays import Flags, Ids
 from masat.graph import PoseGraph
 from masat.information import partial
 
@@ -51,6 +51,13 @@ def duplicate_edges(graph: PoseGraph) -> Ids:
     rows = np.column_stack([inverse[repeated], graph.measurements[repeated]]) + 0.0
     _, first = np.unique(rows, axis=0, return_index=True)
     return np.delete(repeated, first)
+
+
+def chain_edges(graph: PoseGraph) -> Flags:
+    """Return which edges, (m,), join consecutive nodes of one session."""
+    low, high = np.sort(graph.edge_indices, axis=1).T
+    chain: Flags = (high - low == 1) & ~np.isin(high, graph.structure.session_begins)
+    return chain
 
 
 def repeated_pairs(graph: PoseGraph, without: Ids) -> tuple[int, int]:
@@ -104,8 +111,9 @@ def _chain(graph: PoseGraph, d: Diagnosis) -> str | None:
             "There is no odometry: no edge joins nodes with consecutive ids. Use an initial guess "
             "other than 'odometry'."
         )
-    low, high = np.sort(graph.edge_indices, axis=1).T
-    k = int(np.setdiff1d(np.arange(d.nodes - 1), low[high - low == 1])[0])
+    first = np.delete(np.arange(d.nodes), graph.structure.session_begins - 1)[:-1]
+    joined = graph.edge_indices[chain_edges(graph)].min(axis=1)
+    k = int(np.setdiff1d(first, joined)[0])
     times = "once, between" if d.chain_gaps == 1 else f"{d.chain_gaps} times, first between"
     return (
         f"The odometry chain is broken {times} nodes {graph.ids[k]} and {graph.ids[k + 1]}, which "
