@@ -94,32 +94,10 @@ def closure_blocks(design: Design, trials: list[ClosureTrial], folder: Path) -> 
         "Success rates over the fraction of false loop closures; the bars are 95 % Wilson "
         "intervals.",
     )
-    yield Heading("Strict success rate")
-    yield Paragraph(
-        "The same, where the whole chi2 of the true edges is at most 1.05 of that of the clean map."
-    )
-    yield _table("strict_success", cells, methods, _strict_rate)
-    yield Heading("Precision")
-    yield Paragraph(
-        "Of the loop closures that the runs of a cell kept, the fraction that is true, and in "
-        "brackets the number of the false ones. `plain` keeps all."
-    )
-    yield _table("precision", cells, methods, _precision)
-    yield Heading("Recall")
-    yield Paragraph("Of the true loop closures, the fraction that was kept.")
-    yield _table("recall", cells, methods, _recall)
-    yield Heading("Error")
-    yield Paragraph(
-        "Root mean square distance of the positions from those of the clean map in meters, after "
-        "the best rigid alignment: median and, after the slash, the largest of the runs."
-    )
-    yield _table("error", cells, methods, _error)
-    yield Heading("Time")
-    yield Paragraph(
-        "Median time of a run in seconds and, after the slash, in units of a plain solve of the "
-        "clean graph from `auto`."
-    )
-    yield _table("time", cells, methods, _time)
+    for title, name, meaning, text in _SECTIONS:
+        yield Heading(title)
+        yield Paragraph(meaning)
+        yield _table(name, cells, methods, text)
 
 
 def _cells_of(trials: list[ClosureTrial]) -> list[SpoiledCell]:
@@ -182,3 +160,37 @@ def _time(cell: SpoiledCell, method: str) -> str:
         return "-"
     seconds, units = np.median(times, axis=0)
     return f"{seconds:.3g} / {units:.3g}"
+
+
+_SECTIONS = (
+    (
+        "Strict success rate",
+        "strict_success",
+        "The same, where the whole chi2 of the true edges is at most 1.05 of that of the clean "
+        "map.",
+        _strict_rate,
+    ),
+    (
+        "Precision",
+        "precision",
+        "Of the loop closures that the runs of a cell kept, the fraction that is true, and in "
+        "brackets the number of the false ones. `plain` keeps all.",
+        _precision,
+    ),
+    ("Recall", "recall", "Of the true loop closures, the fraction that was kept.", _recall),
+    (
+        "Error",
+        "error",
+        "Root mean square distance of the positions from those of the clean map in meters, after "
+        "the best rigid alignment: median and, after the slash, the largest of the runs.",
+        _error,
+    ),
+    (
+        "Time",
+        "time",
+        "Median time of a run in seconds and, after the slash, in units of a plain solve of the "
+        "clean graph from `auto`.",
+        _time,
+    ),
+)
+"""Title, name of the table, meaning and text of a cell of each section after the success rate."""
