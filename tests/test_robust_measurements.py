@@ -228,8 +228,9 @@ def test_a_wrong_bearing_is_rejected(truth):
     ahead = seen.measurements
     bearings = np.arctan2(ahead[:, 1], ahead[:, 0])
     bearings[7] += 1.0
+    ranges = np.hypot(*ahead.T)
     polar = masat.range_bearing(
-        seen.observations, np.hypot(*ahead.T), bearings, sigma_range=0.05, sigma_bearing=0.02
+        seen.observations, ranges, bearings, sigma_range=0.05, sigma_bearing=0.05 / ranges
     )
     graph = worlds.perturb(world.with_landmarks(polar), (0.02, 0.02, 0.02), seed=1)
     decision = decide(graph)
