@@ -112,7 +112,7 @@ def offsets(names: list[str], trials: int) -> None:
 def robust(names: list[str], trials: int) -> None:
     """Print what a robust solve makes of fixes of which 30 % are 50 m off."""
     print(
-        "30 % of the fixes 50 m off; in all trials: bad fixes kept, good ones and closures rejected;"
+        "30 % of the fixes 50 m off: bad fixes kept, good ones and closures rejected in all trials;"
     )
     print("largest distance of a map from that of the good fixes alone; medians of the times")
     print(f"{'graph':24} trials   kept  rejected  closures   rmse, m       s   plain solves")

@@ -16,8 +16,9 @@ from masat.initializers.chordal import chordal
 from masat.progress import Progress
 from masat.residuals import chi2_per_edge
 from masat.robust.closures import checked_trusted
-from masat.robust.decision import MEASUREMENTS, Decision, decide_on_closures
+from masat.robust.decision import MEASUREMENTS, Decision
 from masat.robust.judgement import Judgement, judge
+from masat.robust.on_closures import decide_on_closures
 from masat.robust.scales import Scales
 from masat.robust.table import TABLE
 from masat.robust.whole import Guess
