@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from masat import _core, lie
-from masat.alignment import Matches, rigid_motion
+from masat.alignment import Matches, leveling_motion, rigid_motion
 
 
 def random_pose(rng, d, reach=1e4):
@@ -83,3 +83,32 @@ def test_rotations_count_where_positions_leave_them_open(d):
 def test_one_position_moves_the_map_without_rotating_it():
     found = rigid_motion(matches_of(np.array([[1.0, 2]]), np.array([[5.0, 5]])))
     assert_allclose(found, [4, 3, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("wrong", [0.0, 0.3])
+def test_heights_level_a_map(d, wrong):
+    rng = np.random.default_rng(5)
+    positions = rng.normal(size=(40, d)) * 20
+    motion = random_pose(rng, d)
+    axis = np.eye(d)[d - 1]
+    heights = lie.compose(motion, poses_at(positions))[:, d - 1]
+    bad = rng.choice(40, round(wrong * 40), replace=False)
+    heights[bad] += rng.normal(size=len(bad)) * 50
+    pose = leveling_motion(positions, axis, heights, np.ones(40))
+    after = lie.compose(pose, poses_at(positions))[:, d - 1]
+    good = np.setdiff1d(np.arange(40), bad)
+    assert_allclose(after[good], heights[good], atol=1e-6)
+    # The smallest rotation does not turn about the axis, and nothing moves across it.
+    assert_allclose(pose[: d - 1], 0, atol=1e-9)
+    if d == 3:
+        assert abs(pose[5]) < 1e-9
+
+
+def test_heights_of_a_level_map_leave_it_level():
+    flat = np.column_stack([np.arange(6.0), np.arange(6.0) ** 2, np.zeros(6)])
+    pose = leveling_motion(flat, np.array([0.0, 0, 1]), np.full(6, 3.0), np.ones(6))
+    assert_allclose(pose, [0, 0, 3, 0, 0, 0, 1], atol=1e-6)
+    # One height tells the level alone.
+    pose = leveling_motion(flat[:1], np.array([0.0, 0, 1]), np.full(1, 3.0), np.ones(1))
+    assert_allclose(pose, [0, 0, 3, 0, 0, 0, 1], atol=1e-6)

@@ -212,3 +212,19 @@ def test_a_loss_tells_which_fixes_and_observations_it_believes(tmp_path):
     again = type(result).load(tmp_path / "result.npz")
     assert (again.prior_weights == result.prior_weights).all()
     assert (again.observation_weights == result.observation_weights).all()
+
+
+@pytest.mark.filterwarnings("ignore:.*seen only by 84 altitudes:masat.MasatWarning")
+def test_altitudes_level_a_map_that_lies_askew(data_dir):
+    graph = masat.read(data_dir / "3d/parking-garage.g2o")
+    alone = masat.solve(graph)
+    ids = graph.ids[::20]
+    noise = np.random.default_rng(1).normal(size=len(ids)) * 0.5
+    for seed in (3, 5):
+        there = lie.compose(random_pose(np.random.default_rng(seed), 3), alone.poses)
+        leveled = graph.with_fixed([]).with_priors(
+            masat.altitudes(ids, there[::20, 2] + noise, 0.5)
+        )
+        result = masat.solve(leveled)
+        expected = masat.solve(leveled.with_poses(there), init="given")
+        assert result.chi2 <= expected.chi2 * (1 + 1e-6)

@@ -14,6 +14,8 @@ from masat.arrays import Flags, Floats
 # wrong, a subset of two is right with probability 4/9 and one of three with 8/27: all are wrong
 # with less than 1e-8.
 _SUBSETS = {2: 32, 3: 60}
+# Random subsets from which an upward direction is computed where heights alone are known.
+_HEIGHT_SUBSETS = 60
 # Fraction of the residuals, the smallest ones, that decide between motions.
 _TRIMMED = 0.6
 # Steps that take the motion of those residuals again, and how many candidates take all of them.
@@ -221,3 +223,78 @@ def _trimmed(matches: Matches, motions: Motions, kept: int) -> Floats:
     """Return the sum of the smallest residuals of each motion, (s,)."""
     smallest: Floats = np.partition(matches.residuals(motions), kept - 1, axis=1)[:, :kept]
     return np.asarray(smallest.sum(axis=1))
+
+
+def leveling_motion(positions: Floats, axis: Floats, heights: Floats, weights: Floats) -> Floats:
+    """Return the pose, (3,) or (7,), that moves positions to their measured heights.
+
+    Minimizes the weighted squares of the differences over the heights that agree: up to a third of
+    them may be wrong. The rotation is the smallest one that levels the map.
+
+    Parameters
+    ----------
+    positions : ndarray, (p, d)
+        In the frame of the map.
+    axis : ndarray, (d,)
+        Unit vector in the other frame along which heights were measured.
+    heights : ndarray, (p,)
+        In meters.
+    weights : ndarray, (p,)
+        Inverse variances in 1/m^2.
+    """
+    d = positions.shape[1]
+    best, which = (np.inf, axis, 0.0), np.ones(len(heights), np.bool_)
+    kept = int(np.ceil(_TRIMMED * len(heights)))
+    rng = np.random.default_rng(0)
+    for trial in range(_HEIGHT_SUBSETS if len(heights) > d + 1 else 1):
+        if trial > 0:
+            which = np.zeros(len(heights), np.bool_)
+            which[rng.integers(len(heights), size=d + 1)] = True
+        for _ in range(_FIRST_STEPS + 1):
+            up, shift = _up(positions, heights, np.where(which, weights, 0.0), axis)
+            residuals = weights * np.square(positions @ up + shift - heights)
+            smallest = np.partition(residuals, kept - 1)[:kept]
+            which = residuals <= smallest[-1]
+        if smallest.sum() < best[0]:
+            best = (float(smallest.sum()), up, shift)
+    _, up, shift = best
+    residuals = weights * np.square(positions @ up + shift - heights)
+    agreeing = residuals <= max(_FAR**2 * float(np.median(residuals)), 1e-24)
+    up, shift = _up(positions, heights, np.where(agreeing, weights, 0.0), axis)
+    # Half turns about `up` and about the axis halfway make the smallest rotation to the axis.
+    half = up + axis
+    if half @ half < 1e-12:
+        half = np.eye(d)[int(np.argmin(np.abs(axis)))]
+        half = half - (half @ axis) * axis
+    rotation = (2 * np.outer(half, half) / (half @ half) - np.eye(d)) @ (
+        2 * np.outer(up, up) - np.eye(d)
+    )
+    pose: Floats = _core.nearest_rotations(np.ascontiguousarray(rotation[None]))[0]
+    pose[:d] = shift * axis
+    return pose
+
+
+def _up(positions: Floats, heights: Floats, weights: Floats, axis: Floats) -> tuple[Floats, float]:
+    """Return the unit vector a and the shift c that minimize the weighted squares of a p + c - h.
+
+    Least squares on a sphere: Forsythe and Golub, On the stationary values of a second-degree
+    polynomial on the unit sphere, 1965. What the heights leave open is as near the axis as it can.
+    """
+    total = weights.sum()
+    middle, level = weights @ positions / total, float(weights @ heights / total)
+    p, h = positions - middle, heights - level
+    values, vectors = np.linalg.eigh((p * weights[:, None]).T @ p)
+    b = vectors.T @ ((p * weights[:, None]).T @ h)
+    # What is not determined comes from the axis.
+    b += 1e-9 * max(values[-1], 1e-300) * (vectors.T @ axis)
+    size = float(np.sqrt(b @ b))
+    low, high = -values[0], -values[0] + size
+    for _ in range(100):
+        guess = (low + high) / 2
+        if np.square(b / np.maximum(values + guess, 1e-300)).sum() > 1:
+            low = guess
+        else:
+            high = guess
+    a = b / np.maximum(values + high, 1e-300)
+    up = vectors @ (a / np.linalg.norm(a))
+    return up, level - float(middle @ up)

@@ -136,6 +136,8 @@ def _kind_of_priors(assembly: Assembly, touching: Flags) -> tuple[str, str, str]
     turned = information[:, d:, d:].any(axis=(1, 2))
     placed = information[:, :d, :d].any(axis=(1, 2))
     if not turned.any():
+        if d == 3 and not information[:, :2, :2].any():
+            return "altitude", "", "s"
         return "position fix", "", "es"
     return (
         ("heading prior" if d == 2 else "rotation prior") if not placed.any() else "prior",

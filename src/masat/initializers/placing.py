@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from masat import _core, lie
-from masat.alignment import Matches, rigid_motion
+from masat.alignment import Matches, leveling_motion, rigid_motion
 from masat.arrays import Flags, Floats, Ids
 from masat.assembly import Assembly
 from masat.determinacy import with_undetermined_kept
@@ -26,6 +26,9 @@ from masat.initializers.roots import notes_of_components
 from masat.initializers.waiting import WaitingBodies
 from masat.optimizers.equations import normal_equations
 from masat.optimizers.translations import solve_translations
+
+# Cosine of the angle between axes that count as one.
+_PARALLEL = 1 - 1e-6
 
 
 def placed_assembly(
@@ -104,7 +107,8 @@ class _Placing:
         self._z = graph.measurements[rows]
         self._offsets = None if graph.sensor_offsets is None else graph.sensor_offsets[rows]
         self._rotation = weights.rotation
-        self._translation = _position_weights(graph.information[rows], weights.translation)
+        self._information = graph.information[rows]
+        self._translation = _position_weights(self._information, weights.translation)
         self._waiting = WaitingBodies(count, self._d)
 
     @property
@@ -124,8 +128,9 @@ class _Placing:
             if bodies:
                 self._move(bodies)
             else:
-                # Nothing ties the rest to what is placed: its largest body stays where it is.
+                # Nothing places the rest: its largest body stays, but for heights that level it.
                 bodies = [next(b for b in largest if not self._placed[self._nodes_of.of(b)[0]])]
+                self._level(bodies[0])
             left -= len(bodies)
             nodes = self._nodes_of.of_all(np.array(bodies))
             self._placed[nodes] = True
@@ -171,6 +176,28 @@ class _Placing:
             )
             nodes = self._nodes_of.of(bodies[k])
             self.poses[nodes] = lie.compose(motion, self.poses[nodes])
+
+    def _level(self, body: int) -> None:
+        """Level a body that placed nodes measure along one axis alone, as altitudes do."""
+        d, nodes = self._d, self._nodes_of.of(body)
+        rows = np.unique(self._rows_of.of_all(nodes) % max(len(self._i), 1))
+        rows = rows[self._placed[self._i[rows]] & np.isin(self._j[rows], nodes)]
+        values, vectors = np.linalg.eigh(self._information[rows][:, :d, :d])
+        measured = values[:, -1] > 0
+        rows, weights, own = rows[measured], values[measured, -1], vectors[measured, :, -1]
+        if len(rows) == 0:
+            return
+        target = lie.compose(self.poses[self._i[rows]], self._z[rows])
+        axes = np.einsum("kij,kj->ki", _rotations(target), own)
+        axes *= np.sign(axes[np.arange(len(axes)), np.abs(axes).argmax(axis=1)])[:, None]
+        along = axes @ axes[0] > _PARALLEL
+        sensor = self.poses[self._j[rows]]
+        if self._offsets is not None:
+            sensor = lie.compose(sensor, self._offsets[rows])
+        motion = leveling_motion(
+            sensor[along, :d], axes[0], target[along, :d] @ axes[0], weights[along]
+        )
+        self.poses[nodes] = lie.compose(motion, self.poses[nodes])
 
     def _guess_points(self) -> None:
         """Place what landmarks are left where their partial observations say."""
