@@ -1,0 +1,247 @@
+// Included by online_map_of.hpp alone.
+#pragma once
+
+namespace masat {
+
+template <LieGroup Group>
+bool OnlineMapOf<Group>::add_node(std::int64_t id, const double* pose) {
+  if (find(id) >= 0 || (pose != nullptr && !is_plain_pose<Group>(pose))) return false;
+  index_.emplace(id, graph_.add_node(pose == nullptr ? Group{} : Group::load(pose)));
+  ids_.push_back(id);
+  given_.push_back(pose != nullptr);
+  return true;
+}
+
+template <LieGroup Group>
+bool OnlineMapOf<Group>::add_edges(std::span<const std::int64_t> pairs, const double* measurements,
+                                   const double* information) {
+  const std::size_t count = pairs.size() / 2, before = pending_.edges.size();
+  const std::int64_t first = next_edge();
+  for (std::size_t k = 0; k < count; ++k) {
+    const std::int32_t from = find(pairs[2 * k]), to = find(pairs[2 * k + 1]);
+    const double* const z = measurements + k * kSize;
+    const double* const w = information + k * kDof * kDof;
+    if (from < 0 || to < 0 || from == to || !is_plain_pose<Group>(z) ||
+        !is_plain_information<Group>(w)) {
+      pending_.edges.resize(before);
+      return false;
+    }
+    pending_.edges.push_back({from, to, first + static_cast<std::int64_t>(k), Group::load(z),
+                              Eigen::Map<const Square>(w)});
+  }
+  slot_of_.resize(slot_of_.size() + count, kWaiting);
+  return true;
+}
+
+template <LieGroup Group>
+bool OnlineMapOf<Group>::remove_edges(std::span<const std::int64_t> numbers) {
+  std::vector<std::int64_t> all = pending_.removals;
+  for (const std::int64_t number : numbers) {
+    if (number < 0 || number >= next_edge() || slot_of_[number] == kRemoved) return false;
+    all.push_back(number);
+  }
+  std::vector<std::int64_t> sorted = all;
+  std::sort(sorted.begin(), sorted.end());
+  if (std::adjacent_find(sorted.begin(), sorted.end()) != sorted.end()) return false;
+  pending_.removals = std::move(all);
+  return true;
+}
+
+template <LieGroup Group>
+StepSummary OnlineMapOf<Group>::update(double budget) {
+  const auto deadline = Clock::now() + std::chrono::duration_cast<Clock::duration>(
+                                           std::chrono::duration<double>(std::min(budget, 1e6)));
+  const std::int64_t refactored = factor_.refactored();
+  StepSummary summary;
+  root_log_.clear();
+  removed_log_.clear();
+  added_log_.clear();
+  moved_.clear();
+  try {
+    apply_changes();
+    // An edge that has just been added may have a large residual.
+    if (factor_.anything_touched()) solve(reference(std::min(state_.chi2, graph_.chi2())), summary);
+    settle(deadline, summary);
+  } catch (const SingularAt& at) {
+    const std::int64_t id = ids_[at.node];
+    roll_back();
+    throw Undetermined(id);
+  } catch (...) {
+    roll_back();
+    throw;
+  }
+  publish();
+  summary.chi2 = graph_.chi2();
+  summary.refactored = factor_.refactored() - refactored;
+  return summary;
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::apply_changes() {
+  resize();
+  for (std::int32_t i = state_.nodes; i < graph_.size(); ++i) moved_.push_back(i);
+  for (const PendingEdge<Group>& edge : pending_.edges) apply(edge);
+  for (const std::int64_t number : pending_.removals) apply_removal(number);
+  pending_.clear();
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::resize() {
+  factor_.resize(graph_.size());
+  back_.resize(graph_.size());
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::apply(const PendingEdge<Group>& edge) {
+  const std::int32_t newer = std::max(edge.from, edge.to);
+  const bool keep = given_[newer] && graph_.node(newer).edges.empty();
+  const std::int32_t freed = components_.join(graph_, edge.from, edge.to, edge.measured, keep,
+                                              moved_, root_log_);
+  if (freed >= 0) release_root(freed);
+  slot_of_[edge.number] =
+      graph_.add_edge(edge.number, edge.from, edge.to, edge.measured, edge.information);
+  added_log_.push_back(edge.number);
+  factor_.touch(edge.from);
+  factor_.touch(edge.to);
+}
+
+// A node that is fixed no longer joins its neighbors.
+template <LieGroup Group>
+void OnlineMapOf<Group>::release_root(std::int32_t root) {
+  factor_.touch(root);
+  for (const std::int32_t slot : graph_.node(root).edges) {
+    factor_.touch(graph_.other_end(graph_.edge(slot), root));
+  }
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::apply_removal(std::int64_t number) {
+  const std::int32_t slot = slot_of_[number];
+  const typename Graph::Edge edge = graph_.edge(slot);
+  graph_.remove_edge(slot);
+  slot_of_[number] = kRemoved;
+  removed_log_.push_back(edge);
+  factor_.touch(edge.from);
+  factor_.touch(edge.to);
+  const std::int32_t fixed = components_.separate(graph_, edge.from, edge.to, root_log_);
+  if (fixed < 0) return;
+  graph_.relinearize(fixed);
+  back_.forget(fixed);
+  release_root(fixed);
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::solve(double cost, StepSummary& summary) {
+  ++summary.passes;
+  factor_.drop(graph_);
+  const auto edges = static_cast<double>(std::max<std::int64_t>(graph_.edge_count(), 1));
+  relinearization_.choose_dropped(graph_, factor_, tolerance_ * cost / 4 / edges);
+  relinearization_.apply(graph_, static_cast<GrowingFactor<Group>*>(nullptr));
+  for (const std::int32_t node : relinearization_.chosen()) back_.forget(node);
+  summary.relinearized += static_cast<std::int64_t>(relinearization_.chosen().size());
+  factor_.eliminate(graph_);
+  back_.run(graph_, factor_, tolerance_ * cost / std::max(graph_.size(), 1));
+  evaluate();
+  summary.changed += static_cast<std::int64_t>(back_.changed().size());
+}
+
+// Moves the nodes whose steps have changed, and brings their edges up to date.
+template <LieGroup Group>
+void OnlineMapOf<Group>::evaluate() {
+  seen_edge_.resize(graph_.edge_slots(), 0);
+  ++stamp_;
+  const std::size_t first = moved_.size();
+  for (const std::int32_t node : back_.changed()) graph_.update_pose(node);
+  moved_.insert(moved_.end(), back_.changed().begin(), back_.changed().end());
+  moved_.insert(moved_.end(), relinearization_.chosen().begin(), relinearization_.chosen().end());
+  for (std::size_t k = first; k < moved_.size(); ++k) {
+    for (const std::int32_t slot : graph_.node(moved_[k]).edges) {
+      if (seen_edge_[slot] == stamp_) continue;
+      seen_edge_[slot] = stamp_;
+      graph_.evaluate(slot);
+    }
+  }
+}
+
+// Linearizes again and solves until the tolerance is reached.
+template <LieGroup Group>
+void OnlineMapOf<Group>::settle(Clock::time_point deadline, StepSummary& summary) {
+  constexpr std::int32_t kMostPasses = 10;
+  constexpr double kLeastTolerance = 1e-12;
+  for (;;) {
+    const double cost = reference(graph_.chi2());
+    relinearization_.choose(graph_, std::max(tolerance_, kLeastTolerance) * cost,
+                            std::numeric_limits<std::size_t>::max());
+    if (relinearization_.chosen().empty()) return;
+    if (summary.passes >= kMostPasses || Clock::now() > deadline) {
+      summary.complete = false;
+      return;
+    }
+    relinearization_.apply(graph_, &factor_);
+    const auto chosen = static_cast<std::int64_t>(relinearization_.chosen().size());
+    summary.relinearized += chosen;
+    for (const std::int32_t node : relinearization_.chosen()) {
+      back_.forget(node);
+      moved_.push_back(node);
+    }
+    solve(cost, summary);
+  }
+}
+
+// The cost to which the tolerance refers: chi2, or a little where measurements agree exactly.
+template <LieGroup Group>
+double OnlineMapOf<Group>::reference(double chi2) const {
+  constexpr double kNegligible = 1e-9;  // chi2 of a measured number
+  const auto numbers = kDof * static_cast<double>(std::max<std::int64_t>(graph_.edge_count(), 1));
+  return std::max(chi2, kNegligible * numbers);
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::publish() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  state_.nodes = graph_.size();
+  state_.poses.resize(std::size_t(state_.nodes) * kSize);
+  for (const std::int32_t i : moved_) {
+    graph_.node(i).pose.store(state_.poses.data() + std::int64_t{i} * kSize);
+  }
+  state_.chi2 = graph_.chi2();
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::roll_back() {
+  pending_.clear();
+  for (auto e = removed_log_.rbegin(); e != removed_log_.rend(); ++e) {
+    slot_of_[e->number] = graph_.add_edge(e->number, e->from, e->to, e->measured, e->information);
+  }
+  for (auto number = added_log_.rbegin(); number != added_log_.rend(); ++number) {
+    graph_.remove_edge(slot_of_[*number]);
+  }
+  for (auto change = root_log_.rbegin(); change != root_log_.rend(); ++change) {
+    graph_.node(change->node).root = change->root;
+  }
+  std::replace(slot_of_.begin(), slot_of_.end(), kWaiting, kRemoved);
+  for (const std::int64_t number : added_log_) slot_of_[number] = kRemoved;
+  while (graph_.size() > state_.nodes) {
+    index_.erase(ids_.back());
+    ids_.pop_back();
+    given_.pop_back();
+    graph_.remove_last_node();
+  }
+  // The factor is left half made: it is made again at the last complete poses.
+  factor_ = GrowingFactor<Group>();
+  resize();
+  for (std::int32_t i = 0; i < graph_.size(); ++i) {
+    graph_.node(i).pose = Group::load(state_.poses.data() + std::int64_t{i} * kSize);
+    graph_.move_linearization(i);
+    back_.forget(i);
+    factor_.touch(i);
+  }
+  for (std::int32_t slot = 0; slot < graph_.edge_slots(); ++slot) {
+    if (graph_.edge(slot).from < 0) continue;
+    graph_.linearize(slot);
+    graph_.evaluate(slot);
+  }
+  graph_.sum_again();
+}
+
+}  // namespace masat
