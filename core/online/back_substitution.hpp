@@ -50,6 +50,8 @@ class BackSubstitution {
 
   // Nodes whose step changed in the last run.
   const std::vector<std::int32_t>& changed() const { return changed_; }
+  // Those that changed by more than the threshold.
+  const std::vector<std::int32_t>& spreading() const { return spreading_; }
 
  private:
   void solve(Graph& graph, const Factor& factor, const typename Factor::OwnFront& front,

@@ -90,7 +90,7 @@ class OnlineMapOf final : public OnlineMap {
   PendingChanges<Group> pending_;
 
   // Nodes that have moved, and edges to be evaluated, in the current update.
-  std::vector<std::int32_t> moved_;
+  std::vector<std::int32_t> moved_, look_;
   std::vector<std::int64_t> seen_edge_;
   std::int64_t stamp_ = 0;
   // How to undo the current update.

@@ -1,7 +1,9 @@
 // Included by online_map_of.hpp alone.
 #pragma once
-
+#include <cstdlib>
+#include <cstdio>
 namespace masat {
+inline double knob(const char* name, double value) { const char* s = std::getenv(name); return s ? std::atof(s) : value; }
 
 template <LieGroup Group>
 bool OnlineMapOf<Group>::add_node(std::int64_t id, const double* pose) {
@@ -136,11 +138,12 @@ void OnlineMapOf<Group>::solve(double cost, StepSummary& summary) {
   factor_.drop(graph_);
   const auto edges = static_cast<double>(std::max<std::int64_t>(graph_.edge_count(), 1));
   relinearization_.choose_dropped(graph_, factor_, tolerance_ * cost / 4 / edges);
-  relinearization_.apply(graph_, static_cast<GrowingFactor<Group>*>(nullptr));
+  relinearization_.apply_dropped(graph_);
   for (const std::int32_t node : relinearization_.chosen()) back_.forget(node);
   summary.relinearized += static_cast<std::int64_t>(relinearization_.chosen().size());
   factor_.eliminate(graph_);
-  back_.run(graph_, factor_, tolerance_ * cost / std::max(graph_.size(), 1));
+  static const double P = knob("KP", 10);
+  back_.run(graph_, factor_, P * tolerance_ * cost / std::max(graph_.size(), 1));
   evaluate();
   summary.changed += static_cast<std::int64_t>(back_.changed().size());
 }
@@ -150,17 +153,17 @@ template <LieGroup Group>
 void OnlineMapOf<Group>::evaluate() {
   seen_edge_.resize(graph_.edge_slots(), 0);
   ++stamp_;
-  const std::size_t first = moved_.size();
   for (const std::int32_t node : back_.changed()) graph_.update_pose(node);
   moved_.insert(moved_.end(), back_.changed().begin(), back_.changed().end());
-  moved_.insert(moved_.end(), relinearization_.chosen().begin(), relinearization_.chosen().end());
-  for (std::size_t k = first; k < moved_.size(); ++k) {
-    for (const std::int32_t slot : graph_.node(moved_[k]).edges) {
+  const auto look = [&](std::int32_t node) {
+    for (const std::int32_t slot : graph_.node(node).edges) {
       if (seen_edge_[slot] == stamp_) continue;
       seen_edge_[slot] = stamp_;
       graph_.evaluate(slot);
     }
-  }
+  };
+  for (const std::int32_t node : back_.spreading()) look(node);
+  for (const std::int32_t node : relinearization_.chosen()) look(node);
 }
 
 // Linearizes again and solves until the tolerance is reached.
@@ -170,14 +173,17 @@ void OnlineMapOf<Group>::settle(Clock::time_point deadline, StepSummary& summary
   constexpr double kLeastTolerance = 1e-12;
   for (;;) {
     const double cost = reference(graph_.chi2());
+    static const double F1 = knob("KF1", .1), F2 = knob("KF2", .1), F3 = knob("KF3", .01);
     relinearization_.choose(graph_, std::max(tolerance_, kLeastTolerance) * cost,
-                            std::numeric_limits<std::size_t>::max());
+                            summary.passes <= 1 ? F1 : summary.passes == 2 ? F2 : F3);
+    static const bool debug = knob("KD", 0) > 0;
+    if (debug) std::fprintf(stderr, "  pass %d chi2 %.9g neglected/cost %.3g chosen %zu refactored %ld changed %zu spread %zu fill %ld t %.2f ms\n", summary.passes, graph_.chi2(), graph_.neglected()/cost, relinearization_.chosen().size(), long(factor_.refactored()), back_.changed().size(), back_.spreading().size(), long(factor_.fill()), 1e3*std::chrono::duration<double>(Clock::now().time_since_epoch()).count() - 1e3*long(std::chrono::duration<double>(Clock::now().time_since_epoch()).count()));
     if (relinearization_.chosen().empty()) return;
     if (summary.passes >= kMostPasses || Clock::now() > deadline) {
       summary.complete = false;
       return;
     }
-    relinearization_.apply(graph_, &factor_);
+    relinearization_.apply(graph_, factor_, relinearization_.least());
     const auto chosen = static_cast<std::int64_t>(relinearization_.chosen().size());
     summary.relinearized += chosen;
     for (const std::int32_t node : relinearization_.chosen()) {

@@ -20,39 +20,33 @@ class Relinearization {
  public:
   using Graph = GrowingGraph<Group>;
 
-  // Chooses nodes of the edges with the largest r' W r, until what is left is half the limit.
-  // `most` bounds their number. Returns whether that was enough.
-  bool choose(const Graph& graph, double limit, std::size_t most) {
-    chosen_.clear();
-    if (graph.neglected() <= limit) return true;
+  // Chooses nodes of the edges with the largest r' W r, until what is left is a fraction of the
+  // limit; none if the limit is kept already.
+  void choose(const Graph& graph, double limit, double fraction) {
+    clear(graph);
+    if (graph.neglected() <= limit) return;
     candidates_.clear();
-    const double least = limit / 4 / static_cast<double>(std::max<std::int64_t>(graph.edge_count(), 1));
-    double small = 0;
+    const auto edges = static_cast<double>(std::max<std::int64_t>(graph.edge_count(), 1));
+    least_ = fraction * limit / 2 / edges;
+    double left = 0;
     for (std::int32_t slot = 0; slot < graph.edge_slots(); ++slot) {
       const auto& e = graph.edge(slot);
       if (e.from < 0) continue;
-      if (e.neglected > least) {
-        candidates_.push_back({e.neglected, slot});
-      } else {
-        small += e.neglected;
-      }
+      left += e.neglected;
+      if (e.neglected > least_) candidates_.push_back({e.neglected, slot});
     }
     std::sort(candidates_.begin(), candidates_.end(), [](const auto& a, const auto& b) {
       return a.first > b.first || (a.first == b.first && a.second < b.second);
     });
-    double left = small;
-    for (const auto& [neglected, slot] : candidates_) left += neglected;
-    visit(graph);
     for (const auto& [neglected, slot] : candidates_) {
-      if (left <= limit / 2) return true;
-      if (chosen_.size() >= most) return false;
+      if (left <= fraction * limit) break;
       left -= neglected;
       const auto& e = graph.edge(slot);
       add(graph, e.from);
       add(graph, e.to);
     }
-    return true;
   }
+  double least() const { return least_; }
   // Also those that were damped.
   void add(const Graph& graph, std::int32_t node) {
     if (!graph.is_free(node) || seen_node_[node] == stamp_) return;
@@ -65,20 +59,36 @@ class Relinearization {
   }
   const std::vector<std::int32_t>& chosen() const { return chosen_; }
 
-  // Linearizes at the poses of the chosen nodes. With a factor, touches what changes.
+  // Linearizes at the poses of the chosen nodes. Where a neighbor has moved far since its own
+  // linearization, an edge between both neglects more than before: then it is chosen, too.
   template <class Factor>
-  void apply(Graph& graph, Factor* factor) {
-    if (chosen_.empty()) return;
-    visit(graph);
+  void apply(Graph& graph, Factor& factor, double least) {
+    for (std::size_t done = 0; done < chosen_.size();) {
+      const std::size_t begin = done;
+      for (; done < chosen_.size(); ++done) graph.move_linearization(chosen_[done]);
+      const std::size_t end = done;
+      for (std::size_t k = begin; k < end; ++k) {
+        for (const std::int32_t slot : graph.node(chosen_[k]).edges) {
+          graph.linearize(slot);
+          graph.evaluate(slot);
+          const auto& e = graph.edge(slot);
+          factor.touch(e.from);
+          factor.touch(e.to);
+          if (e.neglected <= least) continue;
+          add(graph, e.from);
+          add(graph, e.to);
+        }
+      }
+    }
+  }
+
+  void apply_dropped(Graph& graph) {
     for (const std::int32_t node : chosen_) graph.move_linearization(node);
     for (const std::int32_t node : chosen_) {
       for (const std::int32_t slot : graph.node(node).edges) {
         if (seen_edge_[slot] == stamp_) continue;
         seen_edge_[slot] = stamp_;
         graph.linearize(slot);
-        if (factor == nullptr) continue;
-        factor->touch(graph.edge(slot).from);
-        factor->touch(graph.edge(slot).to);
       }
     }
   }
@@ -111,6 +121,7 @@ class Relinearization {
   std::vector<std::pair<double, std::int32_t>> candidates_;
   std::vector<std::int64_t> seen_node_, seen_edge_;
   std::int64_t stamp_ = 0;
+  double least_ = 0;
 };
 
 }  // namespace masat
