@@ -53,6 +53,75 @@ Array<double> poses_of(const OnlineMap& map) {
   return as_array(std::move(poses), {count, size});
 }
 
+// Reads by index, so that the interpreter lock need not be held.
+std::int32_t known(const OnlineMap& map, std::int64_t id) {
+  const std::int32_t index = map.find(id);
+  return index < map.nodes() ? index : -1;
+}
+
+nb::object pose_of(const OnlineMap& map, std::int64_t id) {
+  const std::int32_t index = known(map, id);
+  if (index < 0) return nb::none();
+  std::vector<double> pose(map.pose_size());
+  map.pose(index, pose.data());
+  return nb::cast(as_array(std::move(pose)));
+}
+
+Array<double> covariances(OnlineMap& map, const Vector<std::int32_t>& rows,
+                          const Vector<std::int32_t>& columns) {
+  require(rows.shape(0) == columns.shape(0), "as many rows as columns");
+  const std::size_t d = map.dof();
+  std::vector<double> out(rows.shape(0) * d * d);
+  {
+    nb::gil_scoped_release release;
+    for (const auto& indices : {span_of(rows), span_of(columns)}) {
+      for (const std::int32_t k : indices) require(k >= 0 && k < map.nodes(), "node out of range");
+    }
+    map.covariances(span_of(rows), span_of(columns), out.data());
+  }
+  return as_array(std::move(out), {rows.shape(0), d, d});
+}
+
+nb::dict contents_of(const OnlineMap& map) {
+  MapContents c;
+  {
+    nb::gil_scoped_release release;
+    c = map.contents();
+  }
+  const std::size_t n = c.ids.size(), m = c.numbers.size(), s = map.pose_size(), d = map.dof();
+  nb::dict out;
+  out["ids"] = as_array(std::move(c.ids));
+  out["poses"] = as_array(std::move(c.poses), {n, s});
+  out["linearized"] = as_array(std::move(c.bases), {n, s});
+  out["roots"] = as_array(std::move(c.roots));
+  out["edge_numbers"] = as_array(std::move(c.numbers));
+  out["edges"] = as_array(std::move(c.pairs), {m, 2});
+  out["measurements"] = as_array(std::move(c.measurements), {m, s});
+  out["information"] = as_array(std::move(c.information), {m, d, d});
+  out["next_edge"] = c.next_edge;
+  return out;
+}
+
+template <class T, class A>
+std::vector<T> copied(const A& array) {
+  return {array.data(), array.data() + array.size()};
+}
+
+void fill(OnlineMap& map, const Vector<std::int64_t>& ids, const Table<double>& poses,
+          const Table<double>& linearized, const Vector<std::int32_t>& roots,
+          const Vector<std::int64_t>& numbers, const Table<std::int64_t>& edges,
+          const Table<double>& measurements, const Stack& information, std::int64_t next_edge) {
+  const std::size_t n = ids.shape(0), m = numbers.shape(0), s = map.pose_size(), d = map.dof();
+  require(map.nodes() == 0 && poses.size() == n * s && linearized.size() == n * s &&
+              roots.shape(0) == n && edges.size() == 2 * m && measurements.size() == m * s &&
+              information.size() == m * d * d,
+          "contents of a map");
+  map.fill({copied<std::int64_t>(ids), copied<double>(poses), copied<double>(linearized),
+            copied<std::int32_t>(roots), copied<std::int64_t>(numbers),
+            copied<std::int64_t>(edges), copied<double>(measurements),
+            copied<double>(information), next_edge});
+}
+
 }  // namespace
 
 void bind_online(nb::module_& m) {
@@ -79,7 +148,47 @@ void bind_online(nb::module_& m) {
       .def("update", &update, "budget"_a)
       .def("nodes", &OnlineMap::nodes)
       .def("chi2", &OnlineMap::chi2)
-      .def("poses", &poses_of);
+      .def("poses", &poses_of)
+      .def("pose", &pose_of, "id"_a)
+      .def("edges", &OnlineMap::edges)
+      .def("bytes_of_factor", &OnlineMap::bytes_of_factor)
+      .def(
+          "set_poses",
+          [](OnlineMap& map, const Table<double>& poses) {
+            require(poses.shape(0) == static_cast<std::size_t>(map.nodes()) &&
+                        poses.shape(1) == static_cast<std::size_t>(map.pose_size()),
+                    "poses of all nodes");
+            nb::gil_scoped_release release;
+            map.set_poses(poses.data());
+          },
+          "poses"_a)
+      .def("exact_chi2", &OnlineMap::exact_chi2, nb::call_guard<nb::gil_scoped_release>())
+      .def("ids", [](const OnlineMap& map) { return as_array(map.ids()); })
+      .def("has_edge", &OnlineMap::has_edge, "number"_a)
+      .def(
+          "find_all",
+          [](const OnlineMap& map, const Vector<std::int64_t>& ids) {
+            std::vector<std::int32_t> indices;
+            for (const std::int64_t id : span_of(ids)) indices.push_back(known(map, id));
+            return as_array(std::move(indices));
+          },
+          "ids"_a)
+      .def(
+          "linearized",
+          [](const OnlineMap& map, const Vector<std::int32_t>& nodes) {
+            for (const std::int32_t k : span_of(nodes)) {
+              require(k >= 0 && k < map.nodes(), "node out of range");
+            }
+            const std::size_t count = nodes.shape(0), size = map.pose_size();
+            std::vector<double> out(count * size);
+            map.linearized(span_of(nodes), out.data());
+            return as_array(std::move(out), {count, size});
+          },
+          "nodes"_a)
+      .def("covariances", &covariances, "rows"_a, "columns"_a)
+      .def("contents", &contents_of)
+      .def("fill", &fill, "ids"_a, "poses"_a, "linearized"_a, "roots"_a, "edge_numbers"_a,
+           "edges"_a, "measurements"_a, "information"_a, "next_edge"_a);
 }
 
 }  // namespace masat

@@ -25,6 +25,7 @@ class BackSubstitution {
   }
   // After the linearization of a node has moved to its pose.
   void forget(std::int32_t node) { known_[node].setZero(); }
+  void know(const Graph& graph, std::int32_t node) { known_[node] = graph.step(node); }
 
   // Sets the steps of the newest fronts. The other fronts follow where a step above them differs
   // by d from the one that they know, with d' H d above the threshold. The sum of d' H d over the

@@ -55,6 +55,7 @@ class GrowingFactor {
   std::span<const std::int32_t> newest() const { return newest_; }  // children before parents
   bool is_newest(std::int32_t f) const { return fronts_[f].made == elimination_; }
   const OwnFront& front(std::int32_t f) const { return fronts_[f]; }
+  std::size_t nodes() const { return front_of_.size(); }
   // The front that eliminates a node, or -1 for fixed and new ones.
   std::int32_t front_of(std::int32_t node) const { return front_of_[node]; }
 

@@ -15,6 +15,17 @@ struct Undetermined : std::runtime_error {
   std::int64_t id;
 };
 
+// All of a map: what a file holds of it.
+struct MapContents {
+  std::vector<std::int64_t> ids;      // of the nodes, in the order in which they were added
+  std::vector<double> poses, bases;   // where they are, and where their edges were linearized
+  std::vector<std::int32_t> roots;    // index of the fixed node of each node's component
+  std::vector<std::int64_t> numbers;  // of the edges, ascending
+  std::vector<std::int64_t> pairs;    // ids that the edges join
+  std::vector<double> measurements, information;
+  std::int64_t next_edge = 0;
+};
+
 struct StepSummary {
   double chi2 = 0;
   std::int64_t refactored = 0, relinearized = 0, changed = 0;  // nodes
@@ -36,6 +47,7 @@ class OnlineMap {
   virtual bool add_edges(std::span<const std::int64_t> pairs, const double* measurements,
                          const double* information) = 0;
   virtual bool remove_edges(std::span<const std::int64_t> numbers) = 0;
+  virtual bool has_edge(std::int64_t number) const = 0;
   virtual std::int64_t next_edge() const = 0;  // the number of the next edge that is added
   virtual std::int32_t find(std::int64_t id) const = 0;  // the index of a node, waiting or not; or -1
 
@@ -43,8 +55,24 @@ class OnlineMap {
   // the next update goes on. Throws Undetermined, and forgets what waited.
   virtual StepSummary update(double budget) = 0;
 
+  // Moves all nodes to other poses, and linearizes there. Throws Undetermined.
+  virtual void set_poses(const double* poses) = 0;
+  // The sum over the edges at the current poses; what `update` tells may be off by the tolerance.
+  virtual double exact_chi2() const = 0;
+  // Blocks of the joint covariance of the steps from the linearization, by indices of nodes; each
+  // row-major, zero for fixed nodes.
+  virtual void covariances(std::span<const std::int32_t> rows,
+                           std::span<const std::int32_t> columns, double* out) = 0;
+  virtual void linearized(std::span<const std::int32_t> nodes, double* out) const = 0;
+  virtual MapContents contents() const = 0;
+  // Fills an empty map, whose numbers have been checked. Throws Undetermined.
+  virtual void fill(const MapContents& contents) = 0;
+  virtual std::int64_t edges() const = 0;
+  virtual std::int64_t bytes_of_factor() const = 0;
+
   // The last complete state, which any thread may read at any time.
   virtual std::int32_t nodes() const = 0;
+  virtual std::vector<std::int64_t> ids() const = 0;
   virtual double chi2() const = 0;
   virtual std::vector<double> poses() const = 0;
   virtual bool pose(std::int32_t node, double* out) const = 0;

@@ -12,6 +12,7 @@
 #include "online/components.hpp"
 #include "online/growing_factor.hpp"
 #include "online/growing_graph.hpp"
+#include "online/joint_covariance.hpp"
 #include "online/online_map.hpp"
 #include "online/pending_changes.hpp"
 #include "online/relinearization.hpp"
@@ -30,7 +31,11 @@ class OnlineMapOf final : public OnlineMap {
   int dof() const override { return kDof; }
   int pose_size() const override { return kSize; }
   std::int64_t next_edge() const override { return static_cast<std::int64_t>(slot_of_.size()); }
+  bool has_edge(std::int64_t number) const override {
+    return number >= 0 && number < next_edge() && slot_of_[number] != kRemoved;
+  }
   std::int32_t find(std::int64_t id) const override {
+    const std::lock_guard<std::mutex> lock(mutex_);
     const auto found = index_.find(id);
     return found == index_.end() ? -1 : found->second;
   }
@@ -41,9 +46,30 @@ class OnlineMapOf final : public OnlineMap {
   bool remove_edges(std::span<const std::int64_t> numbers) override;
   StepSummary update(double budget) override;
 
+  void set_poses(const double* poses) override;
+  double exact_chi2() const override;
+  void covariances(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
+                   double* out) override {
+    covariance_.write(factor_, rows, columns, out);
+  }
+  void linearized(std::span<const std::int32_t> nodes, double* out) const override {
+    for (const std::int32_t i : nodes) {
+      graph_.node(i).linearized.store(out);
+      out += kSize;
+    }
+  }
+  MapContents contents() const override;
+  void fill(const MapContents& contents) override;
+  std::int64_t edges() const override { return graph_.edge_count(); }
+  std::int64_t bytes_of_factor() const override { return factor_.bytes(); }
+
   std::int32_t nodes() const override {
     const std::lock_guard<std::mutex> lock(mutex_);
     return state_.nodes;
+  }
+  std::vector<std::int64_t> ids() const override {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return {ids_.begin(), ids_.begin() + state_.nodes};
   }
   double chi2() const override {
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -74,6 +100,8 @@ class OnlineMapOf final : public OnlineMap {
   void evaluate();
   void publish();
   void roll_back();
+  void start_at_poses();
+  void publish_all();
   double reference(double chi2) const;
 
   double tolerance_;
@@ -82,6 +110,7 @@ class OnlineMapOf final : public OnlineMap {
   BackSubstitution<Group> back_;
   Relinearization<Group> relinearization_;
   Components<Group> components_;
+  JointCovariance<Group> covariance_;
 
   std::unordered_map<std::int64_t, std::int32_t> index_;
   std::vector<std::int64_t> ids_;
@@ -111,3 +140,4 @@ class OnlineMapOf final : public OnlineMap {
 }  // namespace masat
 
 #include "online/online_map_of_impl.hpp"
+#include "online/online_map_of_contents.hpp"

@@ -8,7 +8,9 @@ inline double knob(const char* name, double value) { const char* s = std::getenv
 template <LieGroup Group>
 bool OnlineMapOf<Group>::add_node(std::int64_t id, const double* pose) {
   if (find(id) >= 0 || (pose != nullptr && !is_plain_pose<Group>(pose))) return false;
-  index_.emplace(id, graph_.add_node(pose == nullptr ? Group{} : Group::load(pose)));
+  const std::int32_t index = graph_.add_node(pose == nullptr ? Group{} : Group::load(pose));
+  const std::lock_guard<std::mutex> lock(mutex_);
+  index_.emplace(id, index);
   ids_.push_back(id);
   given_.push_back(pose != nullptr);
   return true;
@@ -227,6 +229,7 @@ void OnlineMapOf<Group>::roll_back() {
   }
   std::replace(slot_of_.begin(), slot_of_.end(), kWaiting, kRemoved);
   for (const std::int64_t number : added_log_) slot_of_[number] = kRemoved;
+  const std::lock_guard<std::mutex> lock(mutex_);
   while (graph_.size() > state_.nodes) {
     index_.erase(ids_.back());
     ids_.pop_back();
@@ -238,6 +241,14 @@ void OnlineMapOf<Group>::roll_back() {
   resize();
   for (std::int32_t i = 0; i < graph_.size(); ++i) {
     graph_.node(i).pose = Group::load(state_.poses.data() + std::int64_t{i} * kSize);
+  }
+  start_at_poses();
+}
+
+// Linearizes all edges at the current poses; the next step factorizes everything.
+template <LieGroup Group>
+void OnlineMapOf<Group>::start_at_poses() {
+  for (std::int32_t i = 0; i < graph_.size(); ++i) {
     graph_.move_linearization(i);
     back_.forget(i);
     factor_.touch(i);

@@ -28,6 +28,7 @@ from masat.graph import PoseGraph
 from masat.initializers import initialize
 from masat.measurements import Landmarks, Priors, altitudes, gps, headings, landmarks, pose_priors
 from masat.merging import merge
+from masat.online import OnlineMap
 from masat.optimality.certificate import Certificate, certify
 from masat.optimizers import Iteration, Result, StopReason, optimize
 from masat.plotting import plot
@@ -46,6 +47,7 @@ __all__ = [
     "Landmarks",
     "MasatError",
     "MasatWarning",
+    "OnlineMap",
     "OptimizationError",
     "PoseErrors",
     "PoseGraph",
