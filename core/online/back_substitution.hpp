@@ -20,30 +20,36 @@ class BackSubstitution {
   using Tangent = typename Group::Tangent;
 
   void resize(std::int32_t nodes) {
-    known_.resize(nodes, Tangent::Zero());
+    known_.resize(nodes);
     spreads_.resize(nodes, 0);
   }
-  // After the linearization of a node has moved to its pose.
-  void forget(std::int32_t node) { known_[node].setZero(); }
-  void know(const Graph& graph, std::int32_t node) { known_[node] = graph.step(node); }
+  // After a node's step has been set otherwise.
+  void know(const Graph& graph, std::int32_t node) {
+    known_[node].below = known_[node].evaluated = graph.step(node);
+  }
 
   // Sets the steps of the newest fronts. The other fronts follow where a step above them differs
-  // by d from the one that they know, with d' H d above the threshold. The sum of d' H d over the
-  // nodes bounds by how much chi2 of the linearized problem may be too high.
-  void run(Graph& graph, const Factor& factor, double threshold) {
+  // by d from the one that they know, with d' diag(H) d above the threshold; the sum over the nodes
+  // bounds by how much chi2 of the linearized problem may be too high. Edges are to be evaluated
+  // again where a step has changed by more than another threshold, in the same units.
+  void run(Graph& graph, const Factor& factor, double threshold, double evaluation) {
+    threshold_ = threshold;
+    evaluation_ = evaluation;
     changed_.clear();
     spreading_.clear();
+    moved_.clear();
     stack_.clear();
     const auto newest = factor.newest();
     for (auto f = newest.rbegin(); f != newest.rend(); ++f) {
-      solve(graph, factor, factor.front(*f), threshold);
+      weigh(graph, factor.front(*f));
+      solve(graph, factor.front(*f));
     }
     // Children that are new are among the newest.
     for (const std::int32_t f : newest) visit_children(factor, f);
     while (!stack_.empty()) {
       const std::int32_t f = stack_.back();
       stack_.pop_back();
-      solve(graph, factor, factor.front(f), threshold);
+      solve(graph, factor.front(f));
       visit_children(factor, f);
     }
     for (const std::int32_t node : spreading_) spreads_[node] = 0;
@@ -51,24 +57,36 @@ class BackSubstitution {
 
   // Nodes whose step changed in the last run.
   const std::vector<std::int32_t>& changed() const { return changed_; }
-  // Those that changed by more than the threshold.
-  const std::vector<std::int32_t>& spreading() const { return spreading_; }
+  // Nodes whose edges are to be evaluated again.
+  const std::vector<std::int32_t>& moved() const { return moved_; }
 
  private:
-  void solve(Graph& graph, const Factor& factor, const typename Factor::OwnFront& front,
-             double threshold);
+  // What is known of a node's step, and diag(H).
+  struct Known {
+    Tangent below = Tangent::Zero();      // to the fronts below it
+    Tangent evaluated = Tangent::Zero();  // at the last evaluation of its edges
+    Tangent weight = Tangent::Zero();
+  };
+
+  void weigh(const Graph& graph, const typename Factor::OwnFront& front) {
+    for (std::int32_t k = 0; k < front.pivots; ++k) {
+      const std::int32_t node = front.nodes[k];
+      known_[node].weight = graph.node(node).diagonal.diagonal();
+    }
+  }
+  void solve(Graph& graph, const typename Factor::OwnFront& front);
   void visit_children(const Factor& factor, std::int32_t f);
 
-  std::vector<Tangent> known_;  // the step of each node that the fronts below it know
-  std::vector<char> spreads_;   // whether it has just changed
-  std::vector<std::int32_t> spreading_, changed_, stack_;
+  std::vector<Known> known_;
+  std::vector<char> spreads_;  // whether the fronts below a node are to follow
+  std::vector<std::int32_t> spreading_, changed_, moved_, stack_;
+  double threshold_ = 0, evaluation_ = 0;
   std::vector<double> space_;
   const Kernels& kernels_ = kernels();
 };
 
 template <LieGroup Group>
-void BackSubstitution<Group>::solve(Graph& graph, const Factor&,
-                                    const typename Factor::OwnFront& front, double threshold) {
+void BackSubstitution<Group>::solve(Graph& graph, const typename Factor::OwnFront& front) {
   const Front& dense = front.dense;
   constexpr std::int64_t kLine = 8;
   space_.resize(dense.ld11 + dense.ld21 + 2 * kLine);
@@ -89,11 +107,15 @@ void BackSubstitution<Group>::solve(Graph& graph, const Factor&,
     if (step == graph.step(node)) continue;
     graph.step(node) = step;
     changed_.push_back(node);
-    const Tangent difference = step - known_[node];
-    if (difference.dot(graph.node(node).diagonal * difference) > threshold) {
-      known_[node] = step;
+    Known& known = known_[node];
+    if ((step - known.below).cwiseAbs2().dot(known.weight) > threshold_) {
+      known.below = step;
       spreads_[node] = 1;
       spreading_.push_back(node);
+    }
+    if ((step - known.evaluated).cwiseAbs2().dot(known.weight) > evaluation_) {
+      known.evaluated = step;
+      moved_.push_back(node);
     }
   }
 }

@@ -30,20 +30,21 @@ class Components {
     if (from_root == to_root) return -1;
     const bool to_moves = from_root < to_root;
     const std::int32_t end = to_moves ? to : from, freed = std::max(from_root, to_root);
-    const Group target = to_moves ? graph.node(from).pose * measured
-                                  : graph.node(to).pose * measured.inverse();
-    const Group motion = target * graph.node(end).pose.inverse();
+    const Group target = to_moves ? graph.place(from).pose * measured
+                                  : graph.place(to).pose * measured.inverse();
+    const Group motion = target * graph.place(end).pose.inverse();
     collect(graph, end);
     for (const std::int32_t i : part_) {
       auto& node = graph.node(i);
       log.push_back({i, node.root});
       node.root = std::min(from_root, to_root);
       if (keep_pose) continue;
+      auto& place = graph.place(i);
       if (part_.size() == 1) {
-        node.linearized = node.pose = target;
+        place.linearized = place.pose = target;
       } else {
-        node.linearized = motion * node.linearized;
-        node.pose = motion * node.pose;
+        place.linearized = motion * place.linearized;
+        place.pose = motion * place.pose;
       }
     }
     moved.insert(moved.end(), part_.begin(), part_.end());

@@ -33,8 +33,11 @@ class GrowingGraph {
     double neglected = 0;   // chi2 of what the linearization neglects at the current poses
   };
 
-  struct Node {
+  struct Place {
     Group linearized, pose;
+  };
+
+  struct Node {
     Square diagonal;  // blocks of H and of the right-hand side
     Tangent rhs;
     double damping = 0;  // a fraction of the diagonal of H that is added to it
@@ -50,6 +53,8 @@ class GrowingGraph {
   const Node& node(std::int32_t i) const { return nodes_[i]; }
   Edge& edge(std::int32_t k) { return edges_[k]; }
   const Edge& edge(std::int32_t k) const { return edges_[k]; }
+  Place& place(std::int32_t i) { return places_[i]; }
+  const Place& place(std::int32_t i) const { return places_[i]; }
   Tangent& step(std::int32_t i) { return step_[i]; }
   const Tangent& step(std::int32_t i) const { return step_[i]; }
   bool is_free(std::int32_t i) const { return nodes_[i].root != i; }
@@ -62,7 +67,7 @@ class GrowingGraph {
   std::int32_t add_node(const Group& pose) {
     const std::int32_t i = size();
     Node& node = nodes_.emplace_back();
-    node.linearized = node.pose = pose;
+    places_.push_back({pose, pose});
     node.diagonal.setZero();
     node.rhs.setZero();
     node.root = i;
@@ -71,6 +76,7 @@ class GrowingGraph {
   }
   void remove_last_node() {
     nodes_.pop_back();
+    places_.pop_back();
     step_.pop_back();
   }
 
@@ -113,10 +119,10 @@ class GrowingGraph {
   // Computes the linearization of an edge; the blocks of its nodes are stale then.
   void linearize(std::int32_t slot) {
     Edge& e = edges_[slot];
-    Node &from = nodes_[e.from], &to = nodes_[e.to];
-    e.residual = error(e.measured, from.linearized, to.linearized, e.from_jacobian, e.to_jacobian);
+    e.residual = error(e.measured, places_[e.from].linearized, places_[e.to].linearized,
+                       e.from_jacobian, e.to_jacobian);
     e.joint.noalias() = e.to_jacobian.transpose() * (e.information * e.from_jacobian);
-    from.stale = to.stale = true;
+    nodes_[e.from].stale = nodes_[e.to].stale = true;
   }
 
   // Linearizes at the current pose of a node, and computes its edges.
@@ -126,7 +132,7 @@ class GrowingGraph {
   }
   // The same without the edges.
   void move_linearization(std::int32_t i) {
-    nodes_[i].linearized = nodes_[i].pose;
+    places_[i].linearized = places_[i].pose;
     nodes_[i].damping = 0;
     step_[i].setZero();
   }
@@ -149,13 +155,13 @@ class GrowingGraph {
 
   // Moves a node's pose to that of its linearization and its step.
   void update_pose(std::int32_t i) {
-    nodes_[i].pose = nodes_[i].linearized * Group::from_tangent(step_[i].data());
+    places_[i].pose = places_[i].linearized * Group::from_tangent(step_[i].data());
   }
 
   // Brings chi2 of an edge up to date with the poses of its nodes.
   void evaluate(std::int32_t slot) {
     Edge& e = edges_[slot];
-    const Tangent now = error(e.measured, nodes_[e.from].pose, nodes_[e.to].pose);
+    const Tangent now = error(e.measured, places_[e.from].pose, places_[e.to].pose);
     const Tangent weighted = e.information * now;
     const Tangent missing =
         now - e.residual - e.from_jacobian * step_[e.from] - e.to_jacobian * step_[e.to];
@@ -182,6 +188,7 @@ class GrowingGraph {
   static constexpr std::int64_t kEvaluations = 8;  // of each edge between two exact sums
 
   std::vector<Node> nodes_;
+  std::vector<Place> places_;
   std::vector<Tangent> step_;
   std::vector<Edge> edges_;
   std::vector<std::int32_t> unused_;

@@ -54,7 +54,7 @@ class OnlineMapOf final : public OnlineMap {
   }
   void linearized(std::span<const std::int32_t> nodes, double* out) const override {
     for (const std::int32_t i : nodes) {
-      graph_.node(i).linearized.store(out);
+      graph_.place(i).linearized.store(out);
       out += kSize;
     }
   }

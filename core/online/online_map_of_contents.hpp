@@ -6,7 +6,7 @@ namespace masat {
 template <LieGroup Group>
 void OnlineMapOf<Group>::set_poses(const double* poses) {
   for (std::int32_t i = 0; i < state_.nodes; ++i) {
-    graph_.node(i).pose = Group::load(poses + std::int64_t{i} * kSize);
+    graph_.place(i).pose = Group::load(poses + std::int64_t{i} * kSize);
   }
   start_at_poses();
   try {
@@ -36,7 +36,7 @@ double OnlineMapOf<Group>::exact_chi2() const {
   for (std::int32_t slot = 0; slot < graph_.edge_slots(); ++slot) {
     const auto& e = graph_.edge(slot);
     if (e.from < 0) continue;
-    const auto now = error(e.measured, graph_.node(e.from).pose, graph_.node(e.to).pose);
+    const auto now = error(e.measured, graph_.place(e.from).pose, graph_.place(e.to).pose);
     sum += now.dot(e.information * now);
   }
   return sum;
@@ -50,7 +50,7 @@ MapContents OnlineMapOf<Group>::contents() const {
   out.bases.resize(state_.poses.size());
   for (std::int32_t i = 0; i < state_.nodes; ++i) {
     out.roots.push_back(graph_.node(i).root);
-    graph_.node(i).linearized.store(out.bases.data() + std::int64_t{i} * kSize);
+    graph_.place(i).linearized.store(out.bases.data() + std::int64_t{i} * kSize);
   }
   out.next_edge = next_edge();
   for (std::int64_t number = 0; number < next_edge(); ++number) {
@@ -74,10 +74,9 @@ void OnlineMapOf<Group>::fill(const MapContents& contents) {
     const double* const base = contents.bases.data() + std::int64_t{i} * kSize;
     add_node(contents.ids[i], base);
     const Group pose = Group::load(contents.poses.data() + std::int64_t{i} * kSize);
-    auto& node = graph_.node(i);
-    graph_.step(i) = error(Group{}, node.linearized, pose);
-    node.pose = pose;
-    node.root = contents.roots[i];
+    graph_.step(i) = error(Group{}, graph_.place(i).linearized, pose);
+    graph_.place(i).pose = pose;
+    graph_.node(i).root = contents.roots[i];
   }
   resize();
   slot_of_.assign(contents.next_edge, kRemoved);

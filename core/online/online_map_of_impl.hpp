@@ -130,7 +130,7 @@ void OnlineMapOf<Group>::apply_removal(std::int64_t number) {
   const std::int32_t fixed = components_.separate(graph_, edge.from, edge.to, root_log_);
   if (fixed < 0) return;
   graph_.relinearize(fixed);
-  back_.forget(fixed);
+  back_.know(graph_, fixed);
   release_root(fixed);
 }
 
@@ -141,11 +141,12 @@ void OnlineMapOf<Group>::solve(double cost, StepSummary& summary) {
   const auto edges = static_cast<double>(std::max<std::int64_t>(graph_.edge_count(), 1));
   relinearization_.choose_dropped(graph_, factor_, tolerance_ * cost / 4 / edges);
   relinearization_.apply_dropped(graph_);
-  for (const std::int32_t node : relinearization_.chosen()) back_.forget(node);
+  for (const std::int32_t node : relinearization_.chosen()) back_.know(graph_, node);
   summary.relinearized += static_cast<std::int64_t>(relinearization_.chosen().size());
   factor_.eliminate(graph_);
   static const double P = knob("KP", 10);
-  back_.run(graph_, factor_, P * tolerance_ * cost / std::max(graph_.size(), 1));
+  static const double E = knob("KE", .1);
+  back_.run(graph_, factor_, P * tolerance_ * cost / std::max(graph_.size(), 1), (tolerance_ > 0 ? E : 0) * cost / edges);
   evaluate();
   summary.changed += static_cast<std::int64_t>(back_.changed().size());
 }
@@ -164,7 +165,7 @@ void OnlineMapOf<Group>::evaluate() {
       graph_.evaluate(slot);
     }
   };
-  for (const std::int32_t node : back_.spreading()) look(node);
+  for (const std::int32_t node : back_.moved()) look(node);
   for (const std::int32_t node : relinearization_.chosen()) look(node);
 }
 
@@ -179,7 +180,7 @@ void OnlineMapOf<Group>::settle(Clock::time_point deadline, StepSummary& summary
     relinearization_.choose(graph_, std::max(tolerance_, kLeastTolerance) * cost,
                             summary.passes <= 1 ? F1 : summary.passes == 2 ? F2 : F3);
     static const bool debug = knob("KD", 0) > 0;
-    if (debug) std::fprintf(stderr, "  pass %d chi2 %.9g neglected/cost %.3g chosen %zu refactored %ld changed %zu spread %zu fill %ld t %.2f ms\n", summary.passes, graph_.chi2(), graph_.neglected()/cost, relinearization_.chosen().size(), long(factor_.refactored()), back_.changed().size(), back_.spreading().size(), long(factor_.fill()), 1e3*std::chrono::duration<double>(Clock::now().time_since_epoch()).count() - 1e3*long(std::chrono::duration<double>(Clock::now().time_since_epoch()).count()));
+    if (debug) std::fprintf(stderr, "  pass %d chi2 %.9g neglected/cost %.3g chosen %zu refactored %ld changed %zu spread %zu fill %ld t %.2f ms\n", summary.passes, graph_.chi2(), graph_.neglected()/cost, relinearization_.chosen().size(), long(factor_.refactored()), back_.changed().size(), back_.moved().size(), long(factor_.fill()), 1e3*std::chrono::duration<double>(Clock::now().time_since_epoch()).count() - 1e3*long(std::chrono::duration<double>(Clock::now().time_since_epoch()).count()));
     if (relinearization_.chosen().empty()) return;
     if (summary.passes >= kMostPasses || Clock::now() > deadline) {
       summary.complete = false;
@@ -189,7 +190,7 @@ void OnlineMapOf<Group>::settle(Clock::time_point deadline, StepSummary& summary
     const auto chosen = static_cast<std::int64_t>(relinearization_.chosen().size());
     summary.relinearized += chosen;
     for (const std::int32_t node : relinearization_.chosen()) {
-      back_.forget(node);
+      back_.know(graph_, node);
       moved_.push_back(node);
     }
     solve(cost, summary);
@@ -210,7 +211,7 @@ void OnlineMapOf<Group>::publish() {
   state_.nodes = graph_.size();
   state_.poses.resize(std::size_t(state_.nodes) * kSize);
   for (const std::int32_t i : moved_) {
-    graph_.node(i).pose.store(state_.poses.data() + std::int64_t{i} * kSize);
+    graph_.place(i).pose.store(state_.poses.data() + std::int64_t{i} * kSize);
   }
   state_.chi2 = graph_.chi2();
 }
@@ -240,7 +241,7 @@ void OnlineMapOf<Group>::roll_back() {
   factor_ = GrowingFactor<Group>();
   resize();
   for (std::int32_t i = 0; i < graph_.size(); ++i) {
-    graph_.node(i).pose = Group::load(state_.poses.data() + std::int64_t{i} * kSize);
+    graph_.place(i).pose = Group::load(state_.poses.data() + std::int64_t{i} * kSize);
   }
   start_at_poses();
 }
@@ -250,7 +251,7 @@ template <LieGroup Group>
 void OnlineMapOf<Group>::start_at_poses() {
   for (std::int32_t i = 0; i < graph_.size(); ++i) {
     graph_.move_linearization(i);
-    back_.forget(i);
+    back_.know(graph_, i);
     factor_.touch(i);
   }
   for (std::int32_t slot = 0; slot < graph_.edge_slots(); ++slot) {
