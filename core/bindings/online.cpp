@@ -152,6 +152,7 @@ void bind_online(nb::module_& m) {
       .def("pose", &pose_of, "id"_a)
       .def("edges", &OnlineMap::edges)
       .def("bytes_of_factor", &OnlineMap::bytes_of_factor)
+      .def("fill_of_factor", &OnlineMap::fill_of_factor)
       .def(
           "set_poses",
           [](OnlineMap& map, const Table<double>& poses) {

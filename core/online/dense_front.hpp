@@ -33,14 +33,31 @@ inline void update_contribution(const Kernels& kernels, const Front& front) {
   }
 }
 
-// Adds a child's contribution block whose rows are in another order than those of the front.
+// Copies the lower triangle of the contribution block, column by column without gaps.
+inline void pack_contribution(const Front& front, double* to) {
+  for (std::int32_t c = 0; c < front.rows; ++c) {
+    const double* const column = front.cb + c * front.ld21;
+    to = std::copy(column + c, column + front.rows, to);
+  }
+}
+
+inline std::int64_t packed_size(std::int64_t rows) { return rows * (rows + 1) / 2; }
+
+// Adds a child's packed contribution block whose rows are in another order than those of the front.
 // `target` are the blocks of the front in which its blocks lie: pivots, then rows. Adds to the
 // columns of pivots, or to the others.
 template <int kSize>
-void add_child_in_any_order(const Front& front, const double* child, std::int64_t ld_child,
-                            const std::int32_t* target, std::int32_t blocks, bool to_pivots) {
+void add_child_in_any_order(const Front& front, const double* child, const std::int32_t* target,
+                            std::int32_t blocks, bool to_pivots) {
   const std::int32_t pivots = front.pivots / kSize;
+  const std::int64_t ld_child = std::int64_t{blocks} * kSize - 1;
   for (std::int32_t j = 0; j < blocks; ++j) {
+    // Where row 0 of each column would be.
+    const double* columns[kSize];
+    for (int c = 0; c < kSize; ++c) {
+      const std::int64_t column = std::int64_t{j} * kSize + c;
+      columns[c] = child + column * ld_child - column * (column - 1) / 2;
+    }
     for (std::int32_t i = j; i < blocks; ++i) {
       const std::int32_t row = std::max(target[i], target[j]);
       const std::int32_t column = std::min(target[i], target[j]);
@@ -51,18 +68,17 @@ void add_child_in_any_order(const Front& front, const double* child, std::int64_
                             : below    ? front.l21 + std::int64_t{column} * kSize * ld
                                        : front.l11 + std::int64_t{column} * kSize * ld;
       double* const to = start + (below ? row - pivots : row) * kSize;
-      const double* const from = child + std::int64_t{j} * kSize * ld_child + i * kSize;
       if (i == j) {
         for (int c = 0; c < kSize; ++c) {
-          for (int r = c; r < kSize; ++r) to[c * ld + r] += from[c * ld_child + r];
+          for (int r = c; r < kSize; ++r) to[c * ld + r] += columns[c][i * kSize + r];
         }
       } else if (target[i] > target[j]) {
         for (int c = 0; c < kSize; ++c) {
-          for (int r = 0; r < kSize; ++r) to[c * ld + r] += from[c * ld_child + r];
+          for (int r = 0; r < kSize; ++r) to[c * ld + r] += columns[c][i * kSize + r];
         }
       } else {
         for (int c = 0; c < kSize; ++c) {
-          for (int r = 0; r < kSize; ++r) to[r * ld + c] += from[c * ld_child + r];
+          for (int r = 0; r < kSize; ++r) to[r * ld + c] += columns[c][i * kSize + r];
         }
       }
     }

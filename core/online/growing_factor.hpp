@@ -14,9 +14,9 @@
 
 #include "online/dense_front.hpp"
 #include "online/growing_graph.hpp"
-#include "online/memory_pool.hpp"
 #include "online/minimum_degree.hpp"
 #include "online/partial_tree.hpp"
+#include "sparse/aligned_buffer.hpp"
 #include "sparse/front_layout.hpp"
 #include "sparse/kernels.hpp"
 
@@ -37,11 +37,13 @@ class GrowingFactor {
   using Graph = GrowingGraph<Group>;
 
   struct OwnFront {
-    Front dense;              // factor and contribution block
+    Front dense;              // the factor; its own contribution block is packed
     double* reciprocal;       // of the pivots' square roots
     double* solved;           // L^-1 of the right-hand side, at the pivots
     double* below;            // what the front and its descendants add to that of the rows
-    MemoryPool::Block memory;
+    double* contribution;     // what they subtract from the matrix of the rows, packed
+    AlignedBuffer memory;
+    std::int64_t doubles = 0;  // of the memory
     std::int32_t pivots = 0, parent = -1;  // pivots in nodes; 0 if the front is not in use
     std::int64_t made = 0;                 // the elimination that made it
     std::vector<std::int32_t> nodes;       // pivots, then rows
@@ -79,15 +81,20 @@ class GrowingFactor {
   std::span<const std::int32_t> dropped() const { return dropped_; }
   bool is_dropped(std::int32_t node) const { return local_[node] >= 0; }
   void eliminate(Graph& graph);
-  // Drops everything.
-  void clear(const Graph& graph);
 
+  // Nodes that have been damped, since their pivots failed, and not been forgotten here.
+  std::span<const std::int32_t> damped() const { return damped_; }
+  void forget_damped() { damped_.clear(); }
+
+  // The fill that the factor would have if all nodes were ordered now.
+  std::int64_t fill_of_fresh_order(const Graph& graph);
   // Scalars of the factor without padding, and the bytes of all memory.
   std::int64_t fill() const { return fill_; }
-  std::int64_t bytes() const { return pool_.bytes(); }
+  std::int64_t bytes() const { return 8 * doubles_; }
   std::int64_t refactored() const { return refactored_; }  // nodes, in all
 
  private:
+  void order(const Graph& graph);
   std::int32_t new_front(std::int32_t f);
   void compute(Graph& graph, OwnFront& front);
   void assemble(Graph& graph, OwnFront& front);
@@ -98,17 +105,19 @@ class GrowingFactor {
   }
 
   const Kernels* kernels_ = &kernels();
-  MemoryPool pool_;
   std::vector<OwnFront> fronts_;
   std::vector<std::int32_t> unused_, newest_;
   std::vector<std::int32_t> front_of_, local_;  // of each node; local: among the dropped ones
   std::vector<char> touched_flag_;
-  std::vector<std::int32_t> touched_, dropped_, dropped_fronts_, boundary_, targets_, slots_;
+  std::vector<std::int32_t> touched_, dropped_, dropped_fronts_, boundary_, targets_, slots_,
+      damped_;
   std::vector<Run> runs_;
   std::vector<double> floor_;
+  AlignedBuffer contribution_;  // of the front that is computed
+  std::int64_t contribution_size_ = 0;
   MinimumDegree order_;
   PartialTree tree_;
-  std::int64_t fill_ = 0, refactored_ = 0, elimination_ = 0;
+  std::int64_t fill_ = 0, refactored_ = 0, elimination_ = 0, doubles_ = 0;
 };
 
 }  // namespace masat

@@ -4,12 +4,6 @@
 namespace masat {
 
 template <LieGroup Group>
-void GrowingFactor<Group>::clear(const Graph& graph) {
-  for (std::int32_t i = 0; i < graph.size(); ++i) touch(i);
-  drop(graph);
-}
-
-template <LieGroup Group>
 void GrowingFactor<Group>::drop(const Graph& graph) {
   dropped_fronts_.clear();
   const auto add = [&](std::int32_t node) {
@@ -41,7 +35,8 @@ void GrowingFactor<Group>::drop(const Graph& graph) {
   }
   for (const std::int32_t f : dropped_fronts_) {
     OwnFront& front = fronts_[f];
-    pool_.give_back(front.memory);
+    doubles_ -= front.doubles;
+    front.memory = {};
     front.parent = -1;
     front.nodes.clear();
     front.children.clear();
@@ -49,9 +44,9 @@ void GrowingFactor<Group>::drop(const Graph& graph) {
   }
 }
 
+// Orders the dropped nodes, the newest last.
 template <LieGroup Group>
-void GrowingFactor<Group>::eliminate(Graph& graph) {
-  // The newest nodes last.
+void GrowingFactor<Group>::order(const Graph& graph) {
   std::sort(dropped_.begin(), dropped_.end());
   const auto count = static_cast<std::int32_t>(dropped_.size());
   for (std::int32_t k = 0; k < count; ++k) local_[dropped_[k]] = k;
@@ -69,7 +64,30 @@ void GrowingFactor<Group>::eliminate(Graph& graph) {
   }
   order_.order();
   tree_.build(order_, count, kDof);
+}
 
+template <LieGroup Group>
+std::int64_t GrowingFactor<Group>::fill_of_fresh_order(const Graph& graph) {
+  boundary_.clear();
+  dropped_.clear();
+  for (std::int32_t i = 0; i < graph.size(); ++i) {
+    if (graph.is_free(i)) dropped_.push_back(i);
+  }
+  order(graph);
+  std::int64_t fill = 0;
+  for (std::int32_t f = 0; f < tree_.fronts(); ++f) {
+    const auto pivots = static_cast<std::int64_t>(tree_.pivots(f).size()) * kDof;
+    const auto rows = static_cast<std::int64_t>(tree_.rows(f).size()) * kDof;
+    fill += pivots * (pivots + 1) / 2 + pivots * rows;
+  }
+  for (const std::int32_t node : dropped_) local_[node] = -1;
+  dropped_.clear();
+  return fill;
+}
+
+template <LieGroup Group>
+void GrowingFactor<Group>::eliminate(Graph& graph) {
+  order(graph);
   newest_.clear();
   ++elimination_;
   for (std::int32_t f = 0; f < tree_.fronts(); ++f) newest_.push_back(new_front(f));
@@ -85,8 +103,8 @@ void GrowingFactor<Group>::eliminate(Graph& graph) {
   }
   // From here on `local_` is the block of a node in the front that is computed.
   for (const std::int32_t node : dropped_) local_[node] = -1;
+  refactored_ += static_cast<std::int64_t>(dropped_.size());
   dropped_.clear();
-  refactored_ += count;
   for (const std::int32_t f : newest_) compute(graph, fronts_[f]);
 }
 
@@ -114,14 +132,17 @@ std::int32_t GrowingFactor<Group>::new_front(std::int32_t f) {
   dense.rows = static_cast<std::int32_t>(rows.size()) * kDof;
   dense.ld11 = leading_dimension(dense.pivots, kernels_->lanes);
   dense.ld21 = leading_dimension(dense.rows, kernels_->lanes);
-  front.memory = pool_.take((dense.ld11 + dense.ld21) * dense.pivots + dense.ld21 * dense.rows +
-                            2 * dense.ld11 + dense.ld21);
-  dense.l11 = front.memory.data;
+  front.doubles = (dense.ld11 + dense.ld21) * dense.pivots + 2 * dense.ld11 + dense.ld21 +
+                  packed_size(dense.rows);
+  doubles_ += front.doubles;
+  front.memory = AlignedBuffer(front.doubles);
+  dense.l11 = front.memory.data();
   dense.l21 = dense.l11 + dense.ld11 * dense.pivots;
-  dense.cb = dense.l21 + dense.ld21 * dense.pivots;
-  front.reciprocal = dense.cb + dense.ld21 * dense.rows;
+  dense.cb = nullptr;
+  front.reciprocal = dense.l21 + dense.ld21 * dense.pivots;
   front.solved = front.reciprocal + dense.ld11;
   front.below = front.solved + dense.ld11;
+  front.contribution = front.below + dense.ld21;
   fill_ += fill_of(front);
   return number;
 }
@@ -139,15 +160,24 @@ void GrowingFactor<Group>::compute(Graph& graph, OwnFront& front) {
     // determined; the node is linearized again soon, which ends the damping.
     constexpr double kFirst = 1e-9, kGrowth = 100, kMost = 1e6;
     double& damping = graph.node(front.nodes[failed / kDof]).damping;
+    if (damping == 0) damped_.push_back(front.nodes[failed / kDof]);
     damping = damping > 0 ? kGrowth * damping : kFirst;
     if (!(damping < kMost)) {
       for (const std::int32_t node : front.nodes) local_[node] = -1;
       throw SingularAt(front.nodes[failed / kDof]);
     }
   }
-  const Front& dense = front.dense;
+  Front& dense = front.dense;
+  const std::int64_t size = dense.ld21 * dense.rows;
+  if (size > contribution_size_) {
+    contribution_size_ = 2 * size;
+    contribution_ = AlignedBuffer(contribution_size_);
+  }
+  dense.cb = contribution_.data();
   update_contribution(*kernels_, dense);
   add_children(front, false);
+  pack_contribution(dense, front.contribution);
+  dense.cb = nullptr;
   // Overwrites what the children added to the right-hand side of the rows.
   floor_.assign(front.below, front.below + dense.ld21);
   kernels_->forward(dense, front.reciprocal, front.solved, front.below);
@@ -159,7 +189,7 @@ template <LieGroup Group>
 void GrowingFactor<Group>::assemble(Graph& graph, OwnFront& front) {
   using Block = Eigen::Map<Eigen::Matrix<double, kDof, kDof>, 0, Eigen::OuterStride<>>;
   const Front& dense = front.dense;
-  std::fill(dense.l11, dense.cb, 0.0);
+  std::fill(dense.l11, front.reciprocal, 0.0);
   std::fill(front.solved, front.below + dense.ld21, 0.0);
   floor_.resize(dense.pivots);
   for (std::int32_t k = 0; k < front.pivots; ++k) {
@@ -218,11 +248,11 @@ void GrowingFactor<Group>::add_children(OwnFront& front, bool to_pivots) {
     }
     const Front& dense = front.dense;
     if (ascending) {
-      kernels_->extend_add(dense, child.dense.cb, child.dense.ld21, runs_.data(),
+      kernels_->extend_add(dense, child.contribution, child.dense.rows - 1, true, runs_.data(),
                           static_cast<std::int64_t>(runs_.size()), to_pivots ? 0 : dense.pivots,
                           to_pivots ? dense.pivots : dense.pivots + dense.rows);
     } else {
-      add_child_in_any_order<kDof>(dense, child.dense.cb, child.dense.ld21, slots_.data(),
+      add_child_in_any_order<kDof>(dense, child.contribution, slots_.data(),
                                    static_cast<std::int32_t>(slots_.size()), to_pivots);
     }
   }

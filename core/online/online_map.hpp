@@ -69,6 +69,7 @@ class OnlineMap {
   virtual void fill(const MapContents& contents) = 0;
   virtual std::int64_t edges() const = 0;
   virtual std::int64_t bytes_of_factor() const = 0;
+  virtual std::int64_t fill_of_factor() const = 0;  // scalars
 
   // The last complete state, which any thread may read at any time.
   virtual std::int32_t nodes() const = 0;

@@ -62,6 +62,7 @@ class OnlineMapOf final : public OnlineMap {
   void fill(const MapContents& contents) override;
   std::int64_t edges() const override { return graph_.edge_count(); }
   std::int64_t bytes_of_factor() const override { return factor_.bytes(); }
+  std::int64_t fill_of_factor() const override { return factor_.fill(); }
 
   std::int32_t nodes() const override {
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -96,7 +97,8 @@ class OnlineMapOf final : public OnlineMap {
   void release_root(std::int32_t root);
   void resize();
   void solve(double cost, StepSummary& summary);
-  void settle(Clock::time_point deadline, StepSummary& summary);
+  void settle(Clock::time_point deadline, bool limited, StepSummary& summary);
+  void reorder_if_worthwhile(StepSummary& summary);
   void evaluate();
   void publish();
   void roll_back();
@@ -105,6 +107,7 @@ class OnlineMapOf final : public OnlineMap {
   double reference(double chi2) const;
 
   double tolerance_;
+  double tested_fill_ = 1e5;  // of the factor at the last test of its order, in scalars
   Graph graph_;
   GrowingFactor<Group> factor_;
   BackSubstitution<Group> back_;
@@ -119,7 +122,7 @@ class OnlineMapOf final : public OnlineMap {
   PendingChanges<Group> pending_;
 
   // Nodes that have moved, and edges to be evaluated, in the current update.
-  std::vector<std::int32_t> moved_, look_;
+  std::vector<std::int32_t> moved_;
   std::vector<std::int64_t> seen_edge_;
   std::int64_t stamp_ = 0;
   // How to undo the current update.

@@ -1,9 +1,7 @@
 // Included by online_map_of.hpp alone.
 #pragma once
-#include <cstdlib>
-#include <cstdio>
+
 namespace masat {
-inline double knob(const char* name, double value) { const char* s = std::getenv(name); return s ? std::atof(s) : value; }
 
 template <LieGroup Group>
 bool OnlineMapOf<Group>::add_node(std::int64_t id, const double* pose) {
@@ -53,8 +51,10 @@ bool OnlineMapOf<Group>::remove_edges(std::span<const std::int64_t> numbers) {
 
 template <LieGroup Group>
 StepSummary OnlineMapOf<Group>::update(double budget) {
-  const auto deadline = Clock::now() + std::chrono::duration_cast<Clock::duration>(
-                                           std::chrono::duration<double>(std::min(budget, 1e6)));
+  constexpr double kUnlimited = 1e6;  // seconds
+  const auto deadline =
+      Clock::now() + std::chrono::duration_cast<Clock::duration>(
+                         std::chrono::duration<double>(std::min(budget, kUnlimited)));
   const std::int64_t refactored = factor_.refactored();
   StepSummary summary;
   root_log_.clear();
@@ -65,7 +65,8 @@ StepSummary OnlineMapOf<Group>::update(double budget) {
     apply_changes();
     // An edge that has just been added may have a large residual.
     if (factor_.anything_touched()) solve(reference(std::min(state_.chi2, graph_.chi2())), summary);
-    settle(deadline, summary);
+    settle(deadline, budget < kUnlimited, summary);
+    if (Clock::now() < deadline) reorder_if_worthwhile(summary);
   } catch (const SingularAt& at) {
     const std::int64_t id = ids_[at.node];
     roll_back();
@@ -136,17 +137,21 @@ void OnlineMapOf<Group>::apply_removal(std::int64_t number) {
 
 template <LieGroup Group>
 void OnlineMapOf<Group>::solve(double cost, StepSummary& summary) {
+  // By how much the two bounds may differ from the excess that they stand for, in trials: what is
+  // not passed on to other fronts matters less than its bound.
+  constexpr double kNotPassedOn = 10;
+  // Motion by less than this part of the mean chi2 of an edge changes no residual much.
+  constexpr double kNotEvaluated = 0.1;
   ++summary.passes;
   factor_.drop(graph_);
   const auto edges = static_cast<double>(std::max<std::int64_t>(graph_.edge_count(), 1));
   relinearization_.choose_dropped(graph_, factor_, tolerance_ * cost / 4 / edges);
-  relinearization_.apply_dropped(graph_);
+  relinearization_.apply_to_dropped(graph_);
   for (const std::int32_t node : relinearization_.chosen()) back_.know(graph_, node);
   summary.relinearized += static_cast<std::int64_t>(relinearization_.chosen().size());
   factor_.eliminate(graph_);
-  static const double P = knob("KP", 10);
-  static const double E = knob("KE", .1);
-  back_.run(graph_, factor_, P * tolerance_ * cost / std::max(graph_.size(), 1), (tolerance_ > 0 ? E : 0) * cost / edges);
+  back_.run(graph_, factor_, kNotPassedOn * tolerance_ * cost / graph_.size(),
+            tolerance_ > 0 ? kNotEvaluated * cost / edges : 0);
   evaluate();
   summary.changed += static_cast<std::int64_t>(back_.changed().size());
 }
@@ -158,43 +163,59 @@ void OnlineMapOf<Group>::evaluate() {
   ++stamp_;
   for (const std::int32_t node : back_.changed()) graph_.update_pose(node);
   moved_.insert(moved_.end(), back_.changed().begin(), back_.changed().end());
-  const auto look = [&](std::int32_t node) {
+  const auto evaluate_edges = [&](std::int32_t node) {
     for (const std::int32_t slot : graph_.node(node).edges) {
       if (seen_edge_[slot] == stamp_) continue;
       seen_edge_[slot] = stamp_;
       graph_.evaluate(slot);
     }
   };
-  for (const std::int32_t node : back_.moved()) look(node);
-  for (const std::int32_t node : relinearization_.chosen()) look(node);
+  for (const std::int32_t node : back_.moved()) evaluate_edges(node);
+  for (const std::int32_t node : relinearization_.chosen()) evaluate_edges(node);
 }
 
 // Linearizes again and solves until the tolerance is reached.
 template <LieGroup Group>
-void OnlineMapOf<Group>::settle(Clock::time_point deadline, StepSummary& summary) {
+void OnlineMapOf<Group>::settle(Clock::time_point deadline, bool limited, StepSummary& summary) {
   constexpr std::int32_t kMostPasses = 10;
   constexpr double kLeastTolerance = 1e-12;
+  // Edges that are chosen in one pass where time is limited: some tenths of a millisecond.
+  constexpr std::size_t kMostChosen = 50;
   for (;;) {
     const double cost = reference(graph_.chi2());
-    static const double F1 = knob("KF1", .1), F2 = knob("KF2", .1), F3 = knob("KF3", .01);
+    // If one pass was not enough, the next one goes further, so that few are needed.
     relinearization_.choose(graph_, std::max(tolerance_, kLeastTolerance) * cost,
-                            summary.passes <= 1 ? F1 : summary.passes == 2 ? F2 : F3);
-    static const bool debug = knob("KD", 0) > 0;
-    if (debug) std::fprintf(stderr, "  pass %d chi2 %.9g neglected/cost %.3g chosen %zu refactored %ld changed %zu spread %zu fill %ld t %.2f ms\n", summary.passes, graph_.chi2(), graph_.neglected()/cost, relinearization_.chosen().size(), long(factor_.refactored()), back_.changed().size(), back_.moved().size(), long(factor_.fill()), 1e3*std::chrono::duration<double>(Clock::now().time_since_epoch()).count() - 1e3*long(std::chrono::duration<double>(Clock::now().time_since_epoch()).count()));
+                            summary.passes < 3 ? 0.1 : 0.01,
+                            limited ? kMostChosen : std::numeric_limits<std::size_t>::max());
+    for (const std::int32_t node : factor_.damped()) relinearization_.add(graph_, node);
     if (relinearization_.chosen().empty()) return;
     if (summary.passes >= kMostPasses || Clock::now() > deadline) {
       summary.complete = false;
       return;
     }
-    relinearization_.apply(graph_, factor_, relinearization_.least());
-    const auto chosen = static_cast<std::int64_t>(relinearization_.chosen().size());
-    summary.relinearized += chosen;
+    factor_.forget_damped();
+    relinearization_.apply(graph_, factor_);
+    summary.relinearized += static_cast<std::int64_t>(relinearization_.chosen().size());
     for (const std::int32_t node : relinearization_.chosen()) {
       back_.know(graph_, node);
       moved_.push_back(node);
     }
     solve(cost, summary);
   }
+}
+
+// Orders all nodes anew where the factor has grown much beyond that of a fresh order. The test costs
+// an order, so it is made only when the factor has grown by half since the last one.
+template <LieGroup Group>
+void OnlineMapOf<Group>::reorder_if_worthwhile(StepSummary& summary) {
+  constexpr double kGrowth = 1.5;
+  if (static_cast<double>(factor_.fill()) < kGrowth * tested_fill_) return;
+  const auto fresh = static_cast<double>(factor_.fill_of_fresh_order(graph_));
+  if (static_cast<double>(factor_.fill()) > kGrowth * fresh) {
+    for (std::int32_t i = 0; i < graph_.size(); ++i) factor_.touch(i);
+    solve(reference(graph_.chi2()), summary);
+  }
+  tested_fill_ = static_cast<double>(factor_.fill());
 }
 
 // The cost to which the tolerance refers: chi2, or a little where measurements agree exactly.

@@ -22,12 +22,12 @@ class Relinearization {
 
   // Chooses nodes of the edges with the largest r' W r, until what is left is a fraction of the
   // limit; none if the limit is kept already.
-  void choose(const Graph& graph, double limit, double fraction) {
+  void choose(const Graph& graph, double limit, double fraction, std::size_t most) {
     clear(graph);
-    if (graph.neglected() <= limit) return;
-    candidates_.clear();
     const auto edges = static_cast<double>(std::max<std::int64_t>(graph.edge_count(), 1));
     least_ = fraction * limit / 2 / edges;
+    if (graph.neglected() <= limit) return;
+    candidates_.clear();
     double left = 0;
     for (std::int32_t slot = 0; slot < graph.edge_slots(); ++slot) {
       const auto& e = graph.edge(slot);
@@ -39,14 +39,13 @@ class Relinearization {
       return a.first > b.first || (a.first == b.first && a.second < b.second);
     });
     for (const auto& [neglected, slot] : candidates_) {
-      if (left <= fraction * limit) break;
+      if (left <= fraction * limit || most-- == 0) break;
       left -= neglected;
       const auto& e = graph.edge(slot);
       add(graph, e.from);
       add(graph, e.to);
     }
   }
-  double least() const { return least_; }
   // Also those that were damped.
   void add(const Graph& graph, std::int32_t node) {
     if (!graph.is_free(node) || seen_node_[node] == stamp_) return;
@@ -62,7 +61,7 @@ class Relinearization {
   // Linearizes at the poses of the chosen nodes. Where a neighbor has moved far since its own
   // linearization, an edge between both neglects more than before: then it is chosen, too.
   template <class Factor>
-  void apply(Graph& graph, Factor& factor, double least) {
+  void apply(Graph& graph, Factor& factor) {
     for (std::size_t done = 0; done < chosen_.size();) {
       const std::size_t begin = done;
       for (; done < chosen_.size(); ++done) graph.move_linearization(chosen_[done]);
@@ -74,7 +73,7 @@ class Relinearization {
           const auto& e = graph.edge(slot);
           factor.touch(e.from);
           factor.touch(e.to);
-          if (e.neglected <= least) continue;
+          if (e.neglected <= least_) continue;
           add(graph, e.from);
           add(graph, e.to);
         }
@@ -82,7 +81,8 @@ class Relinearization {
     }
   }
 
-  void apply_dropped(Graph& graph) {
+  // The same where all neighbors are dropped already.
+  void apply_to_dropped(Graph& graph) {
     for (const std::int32_t node : chosen_) graph.move_linearization(node);
     for (const std::int32_t node : chosen_) {
       for (const std::int32_t slot : graph.node(node).edges) {
@@ -121,7 +121,7 @@ class Relinearization {
   std::vector<std::pair<double, std::int32_t>> candidates_;
   std::vector<std::int64_t> seen_node_, seen_edge_;
   std::int64_t stamp_ = 0;
-  double least_ = 0;
+  double least_ = 0;  // what an edge may neglect, of the last choice
 };
 
 }  // namespace masat
