@@ -26,6 +26,7 @@ void bind_systems(nb::module_& m);
 void bind_relaxation(nb::module_& m);
 void bind_equations(nb::module_& m);
 void bind_text(nb::module_& m);
+void bind_online(nb::module_& m);
 
 void check_poses(const Topology& graph, const Table<double>& measurements,
                  const Table<double>& poses);

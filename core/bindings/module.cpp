@@ -28,4 +28,5 @@ NB_MODULE(_core, m) {
   bind_relaxation(m);
   bind_equations(m);
   bind_text(m);
+  bind_online(m);
 }

@@ -1,17 +1,6 @@
 #include "sparse/front_layout.hpp"
 
 namespace masat {
-namespace {
-
-// Whole vectors. Long columns take an odd number of cache lines, so that the columns of a tile do
-// not compete for the same sets of the cache.
-std::int64_t leading_dimension(std::int64_t rows, int lanes) {
-  const std::int64_t padded = (rows + lanes - 1) / lanes * lanes;
-  return padded >= 64 && padded % 16 == 0 ? padded + 8 : padded;
-}
-
-}  // namespace
-
 FrontLayout::FrontLayout(const BlockPattern& pattern, const BlockGraph& graph,
                          const EliminationTree& tree, int block_size, int lanes)
     : block_size_(block_size),

@@ -21,6 +21,13 @@ struct BlockEntry {
   bool transposed;
 };
 
+// Whole vectors. Long columns take an odd number of cache lines, so that the columns of a tile do
+// not compete for the same sets of the cache.
+inline std::int64_t leading_dimension(std::int64_t rows, int lanes) {
+  const std::int64_t padded = (rows + lanes - 1) / lanes * lanes;
+  return padded >= 64 && padded % 16 == 0 ? padded + 8 : padded;
+}
+
 class FrontLayout {
  public:
   FrontLayout(const BlockPattern& pattern, const BlockGraph& graph, const EliminationTree& tree,

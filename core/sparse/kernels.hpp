@@ -46,8 +46,9 @@ struct Kernels {
                      std::int32_t first, std::int32_t last);
   // Sets cb = -l21 l21' in the rows [first, last).
   void (*update_rows)(const Front& front, std::int32_t first, std::int32_t last);
-  // Adds a child's contribution block, in the front's columns [first, last).
-  void (*extend_add)(const Front& front, const double* child, std::int64_t ld_child,
+  // Adds a child's contribution block, in the front's columns [first, last). A packed block holds
+  // its lower triangle alone, column by column without gaps; `ld_child` is one less than its rows.
+  void (*extend_add)(const Front& front, const double* child, std::int64_t ld_child, bool packed,
                      const Run* runs, std::int64_t count, std::int32_t first, std::int32_t last);
 
   // Sets x = l11^-1 x and y = l21 x, for padded and aligned x and y.

@@ -27,8 +27,8 @@ inline void add(double* to, const double* from, std::int32_t count) {
 #endif
 }
 
-void extend_add(const Front& front, const double* child, std::int64_t ld_child, const Run* runs,
-                std::int64_t count, std::int32_t first, std::int32_t last) {
+void extend_add(const Front& front, const double* child, std::int64_t ld_child, bool packed,
+                const Run* runs, std::int64_t count, std::int32_t first, std::int32_t last) {
   const Run* const end = runs + count;
   const Run* below = runs;  // the first run below the pivots
   while (below != end && below->target < front.pivots) ++below;
@@ -37,7 +37,9 @@ void extend_add(const Front& front, const double* child, std::int64_t ld_child, 
     const std::int32_t c_end = last - run->target < run->length ? last - run->target : run->length;
     for (; c < c_end; ++c) {
       const std::int32_t column = run->target + c;
-      const double* const from = child + (run->source + c) * ld_child;
+      const std::int64_t from_column = run->source + c;
+      const double* const from = child + from_column * ld_child -
+                                 (packed ? from_column * (from_column - 1) / 2 : 0);
       double* top = nullptr;
       double* bottom;
       if (column < front.pivots) {

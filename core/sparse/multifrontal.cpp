@@ -184,7 +184,7 @@ void Multifrontal::add_children(const Front& front, std::int32_t f, int rank, st
                                 std::int32_t end) {
   for (const std::int32_t c : layout_.children(f)) {
     const std::span<const Run> runs = layout_.runs(c);
-    kernels_.extend_add(front, contribution(c, rank), layout_.shape(c).ld21, runs.data(),
+    kernels_.extend_add(front, contribution(c, rank), layout_.shape(c).ld21, false, runs.data(),
                         static_cast<std::int64_t>(runs.size()), begin, end);
   }
 }

@@ -37,6 +37,7 @@ from masat.measurements import (
     range_bearing,
 )
 from masat.merging import merge
+from masat.online import OnlineMap
 from masat.optimality.certificate import Certificate, certify
 from masat.optimizers import Iteration, Result, StopReason, optimize
 from masat.plotting import plot
@@ -55,6 +56,7 @@ __all__ = [
     "Landmarks",
     "MasatError",
     "MasatWarning",
+    "OnlineMap",
     "OptimizationError",
     "PoseErrors",
     "PoseGraph",

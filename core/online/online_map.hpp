@@ -1,0 +1,84 @@
+// A map that grows: what the bindings see of it, whatever the group.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <stdexcept>
+#include <vector>
+
+namespace masat {
+
+// The edges do not determine a node's pose. The map is as it was before the update.
+struct Undetermined : std::runtime_error {
+  explicit Undetermined(std::int64_t i) : runtime_error("undetermined pose"), id(i) {}
+  std::int64_t id;
+};
+
+// All of a map: what a file holds of it.
+struct MapContents {
+  std::vector<std::int64_t> ids;      // of the nodes, in the order in which they were added
+  std::vector<double> poses, bases;   // where they are, and where their edges were linearized
+  std::vector<std::int32_t> roots;    // index of the fixed node of each node's component
+  std::vector<std::int64_t> numbers;  // of the edges, ascending
+  std::vector<std::int64_t> pairs;    // ids that the edges join
+  std::vector<double> measurements, information;
+  std::int64_t next_edge = 0;
+};
+
+struct StepSummary {
+  double chi2 = 0;
+  std::int64_t refactored = 0, relinearized = 0, changed = 0;  // nodes
+  std::int32_t passes = 0;
+  bool complete = true;  // whether the tolerance has been reached
+};
+
+class OnlineMap {
+ public:
+  virtual ~OnlineMap() = default;
+  virtual int dof() const = 0;
+  virtual int pose_size() const = 0;
+
+  // What is added or removed waits for the next update. A node that has its pose from the caller
+  // starts there; others are placed by their first edge. Returns false, without any change, if
+  // something needs a closer look: unknown ids, numbers that are not finite, information that is
+  // not symmetric positive definite, quaternions that are not of unit length.
+  virtual bool add_node(std::int64_t id, const double* pose) = 0;
+  virtual bool add_edges(std::span<const std::int64_t> pairs, const double* measurements,
+                         const double* information) = 0;
+  virtual bool remove_edges(std::span<const std::int64_t> numbers) = 0;
+  virtual bool has_edge(std::int64_t number) const = 0;
+  virtual std::int64_t next_edge() const = 0;  // the number of the next edge that is added
+  virtual std::int32_t find(std::int64_t id) const = 0;  // the index of a node, waiting or not; or -1
+
+  // Applies what waits and solves. After `budget` seconds no further nodes are linearized again;
+  // the next update goes on. Throws Undetermined, and forgets what waited.
+  virtual StepSummary update(double budget) = 0;
+
+  // Moves all nodes to other poses, and linearizes there. Throws Undetermined.
+  virtual void set_poses(const double* poses) = 0;
+  // The sum over the edges at the current poses; what `update` tells may be off by the tolerance.
+  virtual double exact_chi2() const = 0;
+  // Blocks of the joint covariance of the steps from the linearization, by indices of nodes; each
+  // row-major, zero for fixed nodes.
+  virtual void covariances(std::span<const std::int32_t> rows,
+                           std::span<const std::int32_t> columns, double* out) = 0;
+  virtual void linearized(std::span<const std::int32_t> nodes, double* out) const = 0;
+  virtual MapContents contents() const = 0;
+  // Fills an empty map, whose numbers have been checked. Throws Undetermined.
+  virtual void fill(const MapContents& contents) = 0;
+  virtual std::int64_t edges() const = 0;
+  virtual std::int64_t bytes_of_factor() const = 0;
+  virtual std::int64_t fill_of_factor() const = 0;  // scalars
+
+  // The last complete state, which any thread may read at any time.
+  virtual std::int32_t nodes() const = 0;
+  virtual std::vector<std::int64_t> ids() const = 0;
+  virtual double chi2() const = 0;
+  virtual std::vector<double> poses() const = 0;
+  virtual bool pose(std::int32_t node, double* out) const = 0;
+};
+
+std::unique_ptr<OnlineMap> make_online_map(int dimension, double tolerance);
+
+}  // namespace masat

@@ -1,0 +1,286 @@
+// Included by online_map_of.hpp alone.
+#pragma once
+
+namespace masat {
+
+template <LieGroup Group>
+bool OnlineMapOf<Group>::add_node(std::int64_t id, const double* pose) {
+  if (find(id) >= 0 || (pose != nullptr && !is_plain_pose<Group>(pose))) return false;
+  const std::int32_t index = graph_.add_node(pose == nullptr ? Group{} : Group::load(pose));
+  const std::lock_guard<std::mutex> lock(mutex_);
+  index_.emplace(id, index);
+  ids_.push_back(id);
+  given_.push_back(pose != nullptr);
+  return true;
+}
+
+template <LieGroup Group>
+bool OnlineMapOf<Group>::add_edges(std::span<const std::int64_t> pairs, const double* measurements,
+                                   const double* information) {
+  const std::size_t count = pairs.size() / 2, before = pending_.edges.size();
+  const std::int64_t first = next_edge();
+  for (std::size_t k = 0; k < count; ++k) {
+    const std::int32_t from = find(pairs[2 * k]), to = find(pairs[2 * k + 1]);
+    const double* const z = measurements + k * kSize;
+    const double* const w = information + k * kDof * kDof;
+    if (from < 0 || to < 0 || from == to || !is_plain_pose<Group>(z) ||
+        !is_plain_information<Group>(w)) {
+      pending_.edges.resize(before);
+      return false;
+    }
+    pending_.edges.push_back({from, to, first + static_cast<std::int64_t>(k), Group::load(z),
+                              Eigen::Map<const Square>(w)});
+  }
+  slot_of_.resize(slot_of_.size() + count, kWaiting);
+  return true;
+}
+
+template <LieGroup Group>
+bool OnlineMapOf<Group>::remove_edges(std::span<const std::int64_t> numbers) {
+  std::vector<std::int64_t> all = pending_.removals;
+  for (const std::int64_t number : numbers) {
+    if (number < 0 || number >= next_edge() || slot_of_[number] == kRemoved) return false;
+    all.push_back(number);
+  }
+  std::vector<std::int64_t> sorted = all;
+  std::sort(sorted.begin(), sorted.end());
+  if (std::adjacent_find(sorted.begin(), sorted.end()) != sorted.end()) return false;
+  pending_.removals = std::move(all);
+  return true;
+}
+
+template <LieGroup Group>
+StepSummary OnlineMapOf<Group>::update(double budget) {
+  constexpr double kUnlimited = 1e6;  // seconds
+  const auto deadline =
+      Clock::now() + std::chrono::duration_cast<Clock::duration>(
+                         std::chrono::duration<double>(std::min(budget, kUnlimited)));
+  const std::int64_t refactored = factor_.refactored();
+  StepSummary summary;
+  root_log_.clear();
+  removed_log_.clear();
+  added_log_.clear();
+  moved_.clear();
+  try {
+    apply_changes();
+    // An edge that has just been added may have a large residual.
+    if (factor_.anything_touched()) solve(reference(std::min(state_.chi2, graph_.chi2())), summary);
+    settle(deadline, budget < kUnlimited, summary);
+    if (Clock::now() < deadline) reorder_if_worthwhile(summary);
+  } catch (const SingularAt& at) {
+    const std::int64_t id = ids_[at.node];
+    roll_back();
+    throw Undetermined(id);
+  } catch (...) {
+    roll_back();
+    throw;
+  }
+  publish();
+  summary.chi2 = graph_.chi2();
+  summary.refactored = factor_.refactored() - refactored;
+  return summary;
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::apply_changes() {
+  resize();
+  for (std::int32_t i = state_.nodes; i < graph_.size(); ++i) moved_.push_back(i);
+  for (const PendingEdge<Group>& edge : pending_.edges) apply(edge);
+  for (const std::int64_t number : pending_.removals) apply_removal(number);
+  pending_.clear();
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::resize() {
+  factor_.resize(graph_.size());
+  back_.resize(graph_.size());
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::apply(const PendingEdge<Group>& edge) {
+  const std::int32_t newer = std::max(edge.from, edge.to);
+  const bool keep = given_[newer] && graph_.node(newer).edges.empty();
+  const std::int32_t freed = components_.join(graph_, edge.from, edge.to, edge.measured, keep,
+                                              moved_, root_log_);
+  if (freed >= 0) release_root(freed);
+  slot_of_[edge.number] =
+      graph_.add_edge(edge.number, edge.from, edge.to, edge.measured, edge.information);
+  added_log_.push_back(edge.number);
+  factor_.touch(edge.from);
+  factor_.touch(edge.to);
+}
+
+// A node that is fixed no longer joins its neighbors.
+template <LieGroup Group>
+void OnlineMapOf<Group>::release_root(std::int32_t root) {
+  factor_.touch(root);
+  for (const std::int32_t slot : graph_.node(root).edges) {
+    factor_.touch(graph_.other_end(graph_.edge(slot), root));
+  }
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::apply_removal(std::int64_t number) {
+  const std::int32_t slot = slot_of_[number];
+  const typename Graph::Edge edge = graph_.edge(slot);
+  graph_.remove_edge(slot);
+  slot_of_[number] = kRemoved;
+  removed_log_.push_back(edge);
+  factor_.touch(edge.from);
+  factor_.touch(edge.to);
+  const std::int32_t fixed = components_.separate(graph_, edge.from, edge.to, root_log_);
+  if (fixed < 0) return;
+  graph_.relinearize(fixed);
+  back_.know(graph_, fixed);
+  release_root(fixed);
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::solve(double cost, StepSummary& summary) {
+  // By how much the two bounds may differ from the excess that they stand for, in trials: what is
+  // not passed on to other fronts matters less than its bound.
+  constexpr double kNotPassedOn = 10;
+  // Motion by less than this part of the mean chi2 of an edge changes no residual much.
+  constexpr double kNotEvaluated = 0.1;
+  ++summary.passes;
+  factor_.drop(graph_);
+  const auto edges = static_cast<double>(std::max<std::int64_t>(graph_.edge_count(), 1));
+  relinearization_.choose_dropped(graph_, factor_, tolerance_ * cost / 4 / edges);
+  relinearization_.apply_to_dropped(graph_);
+  for (const std::int32_t node : relinearization_.chosen()) back_.know(graph_, node);
+  summary.relinearized += static_cast<std::int64_t>(relinearization_.chosen().size());
+  factor_.eliminate(graph_);
+  back_.run(graph_, factor_, kNotPassedOn * tolerance_ * cost / graph_.size(),
+            tolerance_ > 0 ? kNotEvaluated * cost / edges : 0);
+  evaluate();
+  summary.changed += static_cast<std::int64_t>(back_.changed().size());
+}
+
+// Moves the nodes whose steps have changed, and brings their edges up to date.
+template <LieGroup Group>
+void OnlineMapOf<Group>::evaluate() {
+  seen_edge_.resize(graph_.edge_slots(), 0);
+  ++stamp_;
+  for (const std::int32_t node : back_.changed()) graph_.update_pose(node);
+  moved_.insert(moved_.end(), back_.changed().begin(), back_.changed().end());
+  const auto evaluate_edges = [&](std::int32_t node) {
+    for (const std::int32_t slot : graph_.node(node).edges) {
+      if (seen_edge_[slot] == stamp_) continue;
+      seen_edge_[slot] = stamp_;
+      graph_.evaluate(slot);
+    }
+  };
+  for (const std::int32_t node : back_.moved()) evaluate_edges(node);
+  for (const std::int32_t node : relinearization_.chosen()) evaluate_edges(node);
+}
+
+// Linearizes again and solves until the tolerance is reached.
+template <LieGroup Group>
+void OnlineMapOf<Group>::settle(Clock::time_point deadline, bool limited, StepSummary& summary) {
+  constexpr std::int32_t kMostPasses = 10;
+  constexpr double kLeastTolerance = 1e-12;
+  // Edges that are chosen in one pass where time is limited: some tenths of a millisecond.
+  constexpr std::size_t kMostChosen = 50;
+  for (;;) {
+    const double cost = reference(graph_.chi2());
+    // If one pass was not enough, the next one goes further, so that few are needed.
+    relinearization_.choose(graph_, std::max(tolerance_, kLeastTolerance) * cost,
+                            summary.passes < 3 ? 0.1 : 0.01,
+                            limited ? kMostChosen : std::numeric_limits<std::size_t>::max());
+    for (const std::int32_t node : factor_.damped()) relinearization_.add(graph_, node);
+    if (relinearization_.chosen().empty()) return;
+    if (summary.passes >= kMostPasses || Clock::now() > deadline) {
+      summary.complete = false;
+      return;
+    }
+    factor_.forget_damped();
+    relinearization_.apply(graph_, factor_);
+    summary.relinearized += static_cast<std::int64_t>(relinearization_.chosen().size());
+    for (const std::int32_t node : relinearization_.chosen()) {
+      back_.know(graph_, node);
+      moved_.push_back(node);
+    }
+    solve(cost, summary);
+  }
+}
+
+// Orders all nodes anew where the factor has grown much beyond that of a fresh order. The test costs
+// an order, so it is made only when the factor has grown by half since the last one.
+template <LieGroup Group>
+void OnlineMapOf<Group>::reorder_if_worthwhile(StepSummary& summary) {
+  constexpr double kGrowth = 1.5;
+  if (static_cast<double>(factor_.fill()) < kGrowth * tested_fill_) return;
+  const auto fresh = static_cast<double>(factor_.fill_of_fresh_order(graph_));
+  if (static_cast<double>(factor_.fill()) > kGrowth * fresh) {
+    for (std::int32_t i = 0; i < graph_.size(); ++i) factor_.touch(i);
+    solve(reference(graph_.chi2()), summary);
+  }
+  tested_fill_ = static_cast<double>(factor_.fill());
+}
+
+// The cost to which the tolerance refers: chi2, or a little where measurements agree exactly.
+template <LieGroup Group>
+double OnlineMapOf<Group>::reference(double chi2) const {
+  constexpr double kNegligible = 1e-9;  // chi2 of a measured number
+  const auto numbers = kDof * static_cast<double>(std::max<std::int64_t>(graph_.edge_count(), 1));
+  return std::max(chi2, kNegligible * numbers);
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::publish() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  state_.nodes = graph_.size();
+  state_.poses.resize(std::size_t(state_.nodes) * kSize);
+  for (const std::int32_t i : moved_) {
+    graph_.place(i).pose.store(state_.poses.data() + std::int64_t{i} * kSize);
+  }
+  state_.chi2 = graph_.chi2();
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::roll_back() {
+  pending_.clear();
+  for (auto e = removed_log_.rbegin(); e != removed_log_.rend(); ++e) {
+    slot_of_[e->number] = graph_.add_edge(e->number, e->from, e->to, e->measured, e->information);
+  }
+  for (auto number = added_log_.rbegin(); number != added_log_.rend(); ++number) {
+    graph_.remove_edge(slot_of_[*number]);
+  }
+  for (auto change = root_log_.rbegin(); change != root_log_.rend(); ++change) {
+    graph_.node(change->node).root = change->root;
+  }
+  std::replace(slot_of_.begin(), slot_of_.end(), kWaiting, kRemoved);
+  for (const std::int64_t number : added_log_) slot_of_[number] = kRemoved;
+  const std::lock_guard<std::mutex> lock(mutex_);
+  while (graph_.size() > state_.nodes) {
+    index_.erase(ids_.back());
+    ids_.pop_back();
+    given_.pop_back();
+    graph_.remove_last_node();
+  }
+  // The factor is left half made: it is made again at the last complete poses.
+  factor_ = GrowingFactor<Group>();
+  resize();
+  for (std::int32_t i = 0; i < graph_.size(); ++i) {
+    graph_.place(i).pose = Group::load(state_.poses.data() + std::int64_t{i} * kSize);
+  }
+  start_at_poses();
+}
+
+// Linearizes all edges at the current poses; the next step factorizes everything.
+template <LieGroup Group>
+void OnlineMapOf<Group>::start_at_poses() {
+  for (std::int32_t i = 0; i < graph_.size(); ++i) {
+    graph_.move_linearization(i);
+    back_.know(graph_, i);
+    factor_.touch(i);
+  }
+  for (std::int32_t slot = 0; slot < graph_.edge_slots(); ++slot) {
+    if (graph_.edge(slot).from < 0) continue;
+    graph_.linearize(slot);
+    graph_.evaluate(slot);
+  }
+  graph_.sum_again();
+}
+
+}  // namespace masat

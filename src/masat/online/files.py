@@ -1,0 +1,107 @@
+"""Files of maps that grow."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from masat import lie
+from masat.errors import FormatError
+from masat.files import write_atomically
+from masat.graph import PoseGraph
+
+_VERSION = 1
+# What NumPy raises where a file is damaged.
+_DAMAGED = (
+    KeyError,
+    TypeError,
+    ValueError,
+    EOFError,
+    NotImplementedError,
+    zlib.error,
+    zipfile.BadZipFile,
+)
+_ARRAYS = {
+    "ids": np.int64,
+    "poses": np.float64,
+    "linearized": np.float64,
+    "roots": np.int32,
+    "edge_numbers": np.int64,
+    "edges": np.int64,
+    "measurements": np.float64,
+    "information": np.float64,
+}
+
+
+def write_map(path: Path, dimension: int, tolerance: float, contents: dict[str, Any]) -> None:
+    """Write the contents of the core's map to a file, whole or not at all."""
+    about = {
+        "version": _VERSION,
+        "kind": "online map",
+        "dimension": dimension,
+        "tolerance": tolerance,
+        "next_edge": contents["next_edge"],
+    }
+    buffer = io.BytesIO()
+    arrays = {name: contents[name] for name in _ARRAYS}
+    np.savez_compressed(buffer, about=np.array(json.dumps(about)), **arrays)
+    write_atomically(path, buffer.getvalue())
+
+
+def read_map(path: Path) -> tuple[int, float, dict[str, Any]]:
+    """Return dimension, tolerance and contents of a map, checked.
+
+    Raises
+    ------
+    FormatError
+        If the file holds something else.
+    """
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            about = json.loads(str(arrays["about"]))
+            if about.get("kind") != "online map" or about["version"] != _VERSION:
+                raise FormatError("not a map that OnlineMap.save of this version wrote", path)
+            contents: dict[str, Any] = {
+                name: np.ascontiguousarray(arrays[name], kind) for name, kind in _ARRAYS.items()
+            }
+            dimension, tolerance = int(about["dimension"]), float(about["tolerance"])
+            contents["next_edge"] = int(about["next_edge"])
+            if not _fits(dimension, tolerance, contents):
+                raise FormatError("the arrays of the map do not fit each other", path)
+    except _DAMAGED as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(f"not a map that OnlineMap.save wrote: {error}", path) from None
+    return dimension, tolerance, contents
+
+
+def _fits(dimension: int, tolerance: float, c: dict[str, Any]) -> bool:
+    """Tell whether the contents are those of a map; ValueErrors tell more."""
+    n, size, dof = len(c["ids"]), lie.POSE_SIZE[dimension], lie.DOF[dimension]
+    numbers, roots = c["edge_numbers"], c["roots"]
+    if c["poses"].shape != (n, size) or c["linearized"].shape != (n, size) or roots.shape != (n,):
+        return False
+    if c["information"].shape != (len(numbers), dof, dof) or not 0 <= tolerance < 1:
+        return False
+    in_range = (np.diff(numbers) > 0).all() and (numbers >= 0).all()
+    if not in_range or (numbers >= c["next_edge"]).any() or c["measurements"].shape[1] != size:
+        return False
+    if n == 0:
+        return len(numbers) == 0
+    for poses in (c["poses"], c["linearized"]):
+        PoseGraph.from_arrays(
+            c["edges"], c["measurements"], c["information"], ids=c["ids"], poses=poses
+        )
+    # The first node of each component is fixed.
+    graph = PoseGraph.from_arrays(
+        c["edges"], c["measurements"], c["information"], ids=c["ids"], poses=c["poses"]
+    )
+    labels = graph.components[graph.index(c["ids"])]
+    _, first, of_label = np.unique(labels, return_index=True, return_inverse=True)
+    return bool((first[of_label] == roots).all())
