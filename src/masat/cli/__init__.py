@@ -18,6 +18,7 @@ _COMMANDS = {
     "merge": "Merge the sessions of a robot, or of several, into one map.",
     "info": "Say what a pose graph is like and what is wrong with it.",
     "compare": "Solve a pose graph from every initial guess and compare.",
+    "replay": "Feed a pose graph to a map that grows, pose by pose, and time the steps.",
     "certify": "Tell whether the poses of a file are globally optimal.",
     "evaluate": "Compare a map with the truth: ATE and RPE.",
     "convert": "Convert a pose graph to another format.",

@@ -77,6 +77,32 @@ class Iterations(_Line):
         )
 
 
+class Steps(_Line):
+    """Shows how many steps of known number are done."""
+
+    def __init__(self, what: str, total: int, *, quiet: bool) -> None:
+        super().__init__(what, quiet=quiet)
+        self._total = total
+        self._since = perf_counter()
+
+    def advance(self, done: int) -> None:
+        """Take note of how many steps are done."""
+        bar = self._bar
+        if self._silent or (bar is None and perf_counter() - self._since < _PATIENCE):
+            return
+        if bar is None:
+            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+
+            bar = self._show(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TextColumn("{task.completed} of {task.total} steps"),
+                TimeRemainingColumn(),
+                total=self._total,
+            )
+        bar.update(bar.task_ids[0], completed=done)
+
+
 class Stages(_Line):
     """Shows the stage of long work, the lowest chi2 so far, and the time that goes by.
 

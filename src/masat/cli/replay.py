@@ -1,0 +1,125 @@
+"""`masat replay`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter
+
+import click
+import numpy as np
+
+from masat.arrays import Floats, Ids
+from masat.cli import options, show
+from masat.cli.progress import Steps
+from masat.formats import format_of, write
+from masat.online.growing import OnlineMap
+
+_MAX_FRAMES = 150
+
+
+@click.command(epilog="Example:  masat replay M3500.g2o --film growing.gif")
+@options.graph_file
+@click.option(
+    "-o", "--output", "out", type=click.Path(path_type=Path), help="Map: .g2o, .tum or .kitti."
+)
+@click.option(
+    "--film", type=click.Path(path_type=Path), help="Film of the map: .gif, or .mp4 with ffmpeg."
+)
+@click.option(
+    "--step-budget",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Seconds of each step after which nothing more is linearized again.  [default: no limit]",
+)
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(0, 1, max_open=True),
+    help="Fraction of chi2 by which a map may exceed its optimum.  [default: that of OnlineMap]",
+)
+@options.output
+def replay(
+    file: Path,
+    file_format: str | None,
+    indefinite: str,
+    out: Path | None,
+    film: Path | None,
+    step_budget: float | None,
+    tolerance: float | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Feed the graph in FILE to a map that grows, pose by pose, and say how long the steps take.
+
+    Poses arrive in the order of their ids, each with its edges to earlier ones, as a front end
+    would add them. After each step all poses are read. At the end the map is compared with the
+    optimum of all edges.
+    """
+    from masat.online.stream import replay as replayed
+
+    options.check_outputs(file, out, film)
+    if out is not None:
+        format_of(out)
+    if film is not None:
+        from masat.plotting.film import check_film
+
+        check_film(film)
+    graph = options.load(file, file_format, indefinite, quiet)
+    every = max(1, len(graph) // _MAX_FRAMES)
+    frames: list[tuple[Floats, Ids]] = []
+    position = graph.edge_indices.astype(np.int64)
+    newest = position.max(axis=1, initial=0)
+    with Steps(file.name, len(graph), quiet=quiet) as line:
+
+        def report(done: int, online: OnlineMap) -> None:
+            line.advance(done)
+            if film is not None and (done % every == 0 or done == len(graph)):
+                frames.append((online.poses, position[newest < done]))
+
+        run = replayed(graph, tolerance=tolerance, budget=step_budget, report=report)
+    chi2 = run.map.chi2
+    start = perf_counter()
+    optimum = run.map.optimize()
+    batch_seconds = perf_counter() - start
+    if out is not None:
+        write(graph.with_poses(optimum.poses[optimum.graph.index(graph.ids)]), out)
+    if film is not None:
+        from masat.plotting.film import write_film
+
+        write_film(frames, film)
+    excess = chi2 / optimum.chi2 - 1 if optimum.chi2 > 0 else 0.0
+    milliseconds = 1e3 * run.seconds
+    if as_json:
+        show.as_json(
+            {
+                "file": str(file),
+                "steps": len(graph),
+                "seconds": float(run.seconds.sum()),
+                "median_ms": float(np.median(milliseconds)),
+                "p99_ms": float(np.percentile(milliseconds, 99)),
+                "max_ms": float(milliseconds.max()),
+                "chi2": chi2,
+                "optimum": optimum.chi2,
+                "excess": excess,
+                "optimize_seconds": batch_seconds,
+            }
+        )
+    elif not quiet:
+        written = [str(path) for path in (out, film) if path is not None]
+        show.rows(
+            [
+                ("steps", f"{len(graph)}, with {len(graph.edges)} edges"),
+                ("time", show.duration(float(run.seconds.sum()))),
+                (
+                    "a step",
+                    f"median {np.median(milliseconds):.3g} ms, 99 % within "
+                    f"{np.percentile(milliseconds, 99):.3g} ms, the slowest "
+                    f"{milliseconds.max():.3g} ms",
+                ),
+                ("chi2", f"{chi2:.6g} after the last step"),
+                (
+                    "optimum",
+                    f"{optimum.chi2:.6g}, reached in {show.duration(batch_seconds)}; the map was "
+                    f"{excess:.1e} above it",
+                ),
+                ("written", ", ".join(written) or "nothing: name a file with -o"),
+            ]
+        )

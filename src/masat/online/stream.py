@@ -1,0 +1,108 @@
+"""A graph as a front end would have given it: pose by pose, each with its edges to earlier ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+
+from masat.arrays import Floats, Ids
+from masat.errors import GraphError
+from masat.graph import PoseGraph
+from masat.online.growing import OnlineMap
+
+
+class Step(NamedTuple):
+    """What arrives at once.
+
+    Attributes
+    ----------
+    node : int
+        The id of the new pose.
+    edges : ndarray of int64, (k,)
+        Indices of its edges to earlier poses, odometry first.
+    """
+
+    node: int
+    edges: Ids
+
+
+class Replay(NamedTuple):
+    """A map that was grown step by step.
+
+    Attributes
+    ----------
+    map : OnlineMap
+        The map after the last step.
+    seconds : ndarray, (n,)
+        Wall time of each step: additions, update and reading all poses.
+    """
+
+    map: OnlineMap
+    seconds: Floats
+
+
+def steps(graph: PoseGraph) -> Iterator[Step]:
+    """Yield the steps in which a graph grows: its poses in the order of their ids.
+
+    Raises
+    ------
+    GraphError
+        If the graph has priors or landmarks, which a map that grows does not hold yet.
+    """
+    if graph.priors is not None or graph.landmarks is not None:
+        raise GraphError("a map that grows holds no priors and no landmarks yet: leave them out")
+    ends = graph.edge_indices
+    newer, gap = ends.max(axis=1), np.abs(np.diff(ends, axis=1))[:, 0]
+    order = np.lexsort((gap != 1, newer))
+    begin = np.searchsorted(newer[order], np.arange(len(graph) + 1))
+    for k, node in enumerate(graph.ids.tolist()):
+        yield Step(node, order[begin[k] : begin[k + 1]].astype(np.int64))
+
+
+def replay(
+    graph: PoseGraph,
+    *,
+    tolerance: float | None = None,
+    budget: float | None = None,
+    report: Callable[[int, OnlineMap], None] | None = None,
+) -> Replay:
+    """Grow a map from the edges of a graph, in the order of the ids of its nodes.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        The graph; its poses do not count.
+    tolerance : float, optional
+        As of `OnlineMap`. Default: that of `OnlineMap`.
+    budget : float, optional
+        Seconds an update, as of `OnlineMap.update`.
+    report : callable, optional
+        Called after each step with the number of steps so far and the map.
+
+    Raises
+    ------
+    GraphError, OptimizationError
+        As of `steps` and of `OnlineMap`.
+    """
+    online = (
+        OnlineMap(graph.dimension)
+        if tolerance is None
+        else OnlineMap(graph.dimension, tolerance=tolerance)
+    )
+    seconds = np.zeros(len(graph))
+    for k, (node, edges) in enumerate(steps(graph)):
+        start = perf_counter()
+        online.add_pose(node)
+        if len(edges):
+            online.add_edges(
+                graph.edges[edges], graph.measurements[edges], graph.information[edges]
+            )
+        online.update(budget)
+        _ = online.poses
+        seconds[k] = perf_counter() - start
+        if report is not None:
+            report(k + 1, online)
+    return Replay(online, seconds)
