@@ -1,0 +1,331 @@
+// The layers of the map, kept up to date with the model, and when they are drawn.
+
+import { painter } from "./colorings.js";
+import { THEMES, rgb } from "./colors.js";
+import { CIRCLE, circlePairs, ellipsePoints } from "./ellipses.js";
+import { Dots, Lines, Positions } from "./layers.js";
+
+// Layers by the order in which they are drawn; those of edges first.
+export const EDGE_LAYERS = ["closures", "odometry", "off", "rejected"];
+// Which part of the map lines may cover before they become transparent, and how faint they may become.
+const INK = { closures: [0.25, 0.12], odometry: [0.6, 0.35], off: [0.5, 0.3], rejected: [0.45, 0.4] };
+const WIDTHS = { closures: 1.2, odometry: 1.8, off: 1.8, rejected: 2.2 };
+const DASHES = { off: [2, 4], rejected: [9, 4] };
+// Dots of nodes take this part of the distance between them; smaller ones are not drawn.
+const NODE_PART = 0.45, SMALLEST_NODE = 2.5, LARGEST_NODE = 11;
+const MOST_ELLIPSES = 300;
+
+export class Drawing {
+  constructor(canvas, model, camera) {
+    this.model = model;
+    this.camera = camera;
+    this.theme = "light";
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: false, alpha: false });
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.scene = new THREE.Scene();
+    this.frames = 0;
+    this.afterFrame = [];
+    this.hovered = null;
+    this._place();
+    this._shared = {
+      positions: { value: this.positions.texture },
+      resolution: { value: new THREE.Vector2(1, 1) },
+      near: { value: 0 },
+      fade: { value: new THREE.Vector2(0, 0) },
+      paper: { value: new THREE.Vector3(1, 1, 1) },
+    };
+    this._makeLayers();
+    this.edges = {};
+    this.assign();
+    this.moveNodes();
+  }
+
+  /** Ask for a picture with the next frame. */
+  request() {
+    if (this.requested) return;
+    this.requested = true;
+    requestAnimationFrame((now) => {
+      this.requested = false;
+      const flies = this.camera.advance(now);
+      this.draw();
+      if (flies) this.request();
+    });
+  }
+
+  draw() {
+    const { camera, _shared: shared } = this;
+    this._scaleLines();
+    if (camera.is3d) {
+      const distance = camera.camera.position.length();
+      shared.near.value = camera.camera.near;
+      shared.fade.value.set(distance - 0.6 * camera.radius, 0.42 / camera.radius);
+    }
+    this.renderer.render(this.scene, camera.camera);
+    this.frames++;
+    for (const listener of this.afterFrame) listener();
+  }
+
+  resize() {
+    const { width, height } = this.camera;
+    this.renderer.setSize(width, height, false);
+    // Widths are in pixels of the page, on any screen.
+    this._shared.resolution.value.set(width, height);
+    this.request();
+  }
+
+  setTheme(theme) {
+    this.theme = theme;
+    const paper = rgb(THEMES[theme].paper);
+    this._shared.paper.value.set(...paper.map((value) => value / 255));
+    this.renderer.setClearColor(new THREE.Color(...paper.map((value) => value / 255)), 1);
+    this.paint();
+  }
+
+  /** Give each edge to its layer. */
+  assign() {
+    const lists = Object.fromEntries(EDGE_LAYERS.map((name) => [name, []]));
+    for (let k = 0; k < this.model.edgeCount; k++) lists[this.model.layerOf(k)].push(k);
+    for (const name of EDGE_LAYERS) this.edges[name] = lists[name];
+    this.paint();
+  }
+
+  /** Color everything. */
+  paint() {
+    const colors = THEMES[this.theme], paints = painter(this.model, this.theme);
+    this.legend = paints.legend;
+    for (const name of EDGE_LAYERS) {
+      const edges = this.edges[name];
+      // What is off keeps its color, so that it is not taken for a part of the map.
+      const own = paints.edge && (name === "odometry" || name === "closures");
+      if (own && paints.order) paints.order(edges);
+      else edges.sort((a, b) => a - b);
+      const pairs = new Float32Array(2 * edges.length);
+      edges.forEach((edge, k) => pairs.set(this.model.ends(edge), 2 * k));
+      this.layers[name].set(pairs, tints(edges, own ? paints.edge : constant(colors[name])));
+    }
+    const all = Float32Array.from({ length: this.model.nodeCount }, (_, k) => k);
+    this.layers.nodes.set(all, tints(all, paints.node ?? constant(colors.nodes)));
+    this._paintOthers(colors);
+    this._measure();
+    this.highlight();
+  }
+
+  /** Show the positions of the map that the model shows. */
+  moveNodes() {
+    this.positions.write(0, this.model.positions, this.model.dimension);
+    this._measure();
+    this.highlight();
+  }
+
+  /** Mark what is selected, and what is pointed at. */
+  highlight() {
+    const colors = THEMES[this.theme];
+    this._mark("selected", this.model.selected, colors.selected);
+    this._mark("hovered", this.hovered, colors.hover);
+    this._drawEllipses();
+    this.request();
+  }
+
+  /** Whether a layer is shown; what belongs to the result alone is hidden with other maps. */
+  updateVisibility(wanted) {
+    this.wanted = wanted;
+    for (const [name, layers] of Object.entries(this.groups)) {
+      const shown = wanted[name] !== false && (this.model.isResult || !this.resultOnly.has(name));
+      for (const layer of layers) layer.visible = shown;
+    }
+    this.request();
+  }
+
+  shows(name) { return this.groups[name]?.some((layer) => layer.visible) ?? false; }
+
+  /** Side of the dots of nodes in pixels; 0 where they are not drawn. */
+  get nodeSize() {
+    const side = NODE_PART * this.spacing * this.camera.pixelsPerMeter;
+    return side < SMALLEST_NODE ? 0 : Math.min(side, LARGEST_NODE);
+  }
+
+  _place() {
+    const { arrays, nodeCount: n, dimension: d } = this.model;
+    const count = (name) => (arrays[name]?.length ?? 0) / d;
+    // Where the parts begin: nodes, true positions, position fixes, landmarks, ellipses.
+    this.first = { truth: n };
+    this.first.fixes = this.first.truth + count("truth");
+    this.first.landmarks = this.first.fixes + count("fixes");
+    this.first.ellipses = this.first.landmarks + count("landmarks");
+    this.circles = d === 2 ? 1 : 3;
+    this.ellipseNodes = [];
+    if (arrays.covariances) {
+      const step = Math.max(1, Math.ceil(n / MOST_ELLIPSES));
+      for (let k = 0; k < n; k += step) this.ellipseNodes.push(k);
+    }
+    // One more, of the node that is selected.
+    const points = (this.ellipseNodes.length + 1) * this.circles * CIRCLE;
+    this.positions = new Positions(this.first.ellipses + points);
+    for (const name of ["truth", "fixes", "landmarks"]) {
+      if (arrays[name]) this.positions.write(this.first[name], arrays[name], d);
+    }
+  }
+
+  _makeLayers() {
+    const depth = this.camera.is3d, { arrays } = this.model;
+    const lines = (order, options) => new Lines(this._shared, { order, depth, ...options });
+    const dots = (order, options) => new Dots(this._shared, { order, depth, ...options });
+    const layers = {};
+    if (arrays.truth) layers.truth = lines(1, { width: 1.4, dash: [5, 3] });
+    if (arrays.observations) layers.observations = lines(2, { width: 1 });
+    EDGE_LAYERS.forEach((name, k) => {
+      layers[name] = lines(3 + k, { width: WIDTHS[name], dash: DASHES[name], depth: depth && name !== "rejected" });
+    });
+    layers.nodes = dots(10, { size: 6 });
+    if (arrays.fixes) {
+      layers.priorLines = lines(8, { width: 1 });
+      layers.fixes = dots(11, { size: 9, shape: 3 });
+    }
+    if (arrays.landmarks) layers.landmarks = dots(12, { size: 8, shape: 2 });
+    if (arrays.covariances) layers.ellipses = lines(13, { width: 1.2 });
+    layers.gauge = dots(14, { size: 13, shape: 1, depth: false });
+    layers.hoveredLines = lines(20, { width: 4, depth: false });
+    layers.hoveredDots = dots(21, { size: 14, shape: 1, depth: false });
+    layers.selectedLines = lines(22, { width: 4, depth: false });
+    layers.selectedDots = dots(23, { size: 16, shape: 1, depth: false });
+    layers.selectedEllipse = lines(24, { width: 2, depth: false });
+    this.layers = layers;
+    for (const layer of Object.values(layers)) this.scene.add(layer.object);
+    const groups = {
+      odometry: [layers.odometry], closures: [layers.closures], rejected: [layers.rejected], off: [layers.off],
+      nodes: [layers.nodes], gauge: [layers.gauge],
+    };
+    if (layers.fixes) groups.priors = [layers.priorLines, layers.fixes];
+    if (layers.landmarks) groups.landmarks = [layers.landmarks, layers.observations];
+    if (layers.truth) groups.truth = [layers.truth];
+    if (layers.ellipses) groups.ellipses = [layers.ellipses];
+    this.groups = groups;
+    this.resultOnly = new Set(["priors", "landmarks", "truth", "ellipses"]);
+  }
+
+  _paintOthers(colors) {
+    const { arrays } = this.model, { layers, first } = this;
+    layers.gauge.set(Float32Array.from(arrays.gauge), tints(arrays.gauge, constant(colors.gauge)));
+    if (layers.truth) {
+      const pairs = [];
+      const isKnown = (node) => !Number.isNaN(arrays.truth[node * this.model.dimension]);
+      for (let k = 0; k < this.model.edgeCount; k++) {
+        const [a, b] = this.model.ends(k);
+        if (arrays.is_odometry[k] && isKnown(a) && isKnown(b)) pairs.push(first.truth + a, first.truth + b);
+      }
+      setLines(layers.truth, pairs, colors.truth);
+    }
+    if (layers.fixes) {
+      const fixes = [];
+      const pairs = [];
+      arrays.prior_nodes.forEach((node, k) => {
+        if (Number.isNaN(arrays.fixes[k * this.model.dimension])) return;
+        fixes.push(first.fixes + k);
+        pairs.push(node, first.fixes + k);
+      });
+      const color = (k) => rgb(arrays.prior_kept?.[k - first.fixes] === 0 ? colors.rejected : colors.priors);
+      layers.fixes.set(Float32Array.from(fixes), tints(fixes, color));
+      const ofLine = fixes.map((k) => k);
+      layers.priorLines.set(Float32Array.from(pairs), tints(ofLine, color));
+    }
+    if (layers.landmarks) {
+      const all = Float32Array.from({ length: arrays.landmark_ids.length }, (_, k) => first.landmarks + k);
+      layers.landmarks.set(all, tints(all, constant(colors.landmarks)));
+      const pairs = arrays.observations.map((index, k) => (k % 2 ? first.landmarks + index : index));
+      setLines(layers.observations, pairs, colors.observations);
+    }
+  }
+
+  _mark(name, what, color) {
+    let pairs = [], nodes = [];
+    if (what?.kind === "edge") {
+      pairs = this.model.ends(what.index);
+      nodes = pairs;
+    } else if (what?.kind === "node") {
+      nodes = [what.index];
+    } else if (what?.kind === "landmark") {
+      nodes = [this.first.landmarks + what.index];
+    }
+    setLines(this.layers[`${name}Lines`], pairs, color);
+    this.layers[`${name}Dots`].set(Float32Array.from(nodes), tints(nodes, constant(color)));
+  }
+
+  _drawEllipses() {
+    const { selected } = this.model, { arrays } = this.model;
+    if (!arrays.covariances) return;
+    const colors = THEMES[this.theme];
+    const picked = selected?.kind === "node" && this.model.isResult ? [selected.index] : [];
+    const nodes = [...this.ellipseNodes, ...picked];
+    const size = this.circles * CIRCLE;
+    const pairs = nodes.map((node, k) => {
+      const begin = this.first.ellipses + k * size;
+      this.positions.write(begin, ellipsePoints(this.model, node), this.model.dimension);
+      return circlePairs(begin, this.circles);
+    });
+    const count = this.ellipseNodes.length;
+    setLines(this.layers.ellipses, pairs.slice(0, count).flat(), colors.ellipses);
+    setLines(this.layers.selectedEllipse, pairs.slice(count).flat(), colors.ellipses);
+  }
+
+  /** Measure the lines of each layer, which decides how transparent they are. */
+  _measure() {
+    const { positions, dimension: d, arrays } = this.model;
+    this.lengths = {};
+    const steps = [];
+    for (const name of EDGE_LAYERS) {
+      let sum = 0;
+      for (const edge of this.edges[name] ?? []) {
+        const a = arrays.ends[2 * edge] * d, b = arrays.ends[2 * edge + 1] * d;
+        let square = 0;
+        for (let c = 0; c < d; c++) square += (positions[a + c] - positions[b + c]) ** 2;
+        sum += Math.sqrt(square);
+        if (name === "odometry") steps.push(Math.sqrt(square));
+      }
+      this.lengths[name] = sum;
+    }
+    steps.sort((a, b) => a - b);
+    this.spacing = steps[steps.length >> 1] || this.camera.radius / Math.sqrt(this.model.nodeCount);
+  }
+
+  _scaleLines() {
+    const scale = this.camera.pixelsPerMeter, [x, y] = this.camera.halves;
+    const area = 4 * Math.max(x, 0.2 * this.camera.radius) * Math.max(y, 0.2 * this.camera.radius);
+    for (const name of EDGE_LAYERS) {
+      const layer = this.layers[name], [part, faintest] = INK[name];
+      const cover = (this.lengths[name] * WIDTHS[name]) / (area * scale);
+      layer.uniforms.opacity.value = Math.min(Math.max(part / (cover || 1e-9), faintest), 0.95);
+    }
+    const size = this.nodeSize;
+    this.layers.nodes.uniforms.size.value = size;
+    if (this.wanted) this.layers.nodes.visible = size > 0 && this.wanted.nodes !== false;
+    // Dots are measured in pixels of the screen.
+    const ratio = this.renderer.getPixelRatio();
+    for (const [name, layer] of Object.entries(this.layers)) {
+      if (!(layer instanceof Dots)) continue;
+      layer.side ??= layer.uniforms.size.value;
+      layer.uniforms.size.value = ratio * (name === "nodes" ? size : layer.side);
+    }
+  }
+}
+
+function constant(color) {
+  const value = rgb(color);
+  return () => value;
+}
+
+/** Return red, green, blue and opacity of each item. */
+function tints(items, colorOf) {
+  const out = new Uint8Array(4 * items.length);
+  for (let k = 0; k < items.length; k++) {
+    const [r, g, b] = colorOf(items[k]);
+    out[4 * k] = r;
+    out[4 * k + 1] = g;
+    out[4 * k + 2] = b;
+    out[4 * k + 3] = 255;
+  }
+  return out;
+}
+
+function setLines(layer, pairs, color) {
+  layer.set(Float32Array.from(pairs), tints({ length: pairs.length / 2 }, constant(color)));
+}
