@@ -19,6 +19,7 @@ MODULES = (
     "ellipses",
     "camera",
     "model",
+    "pace",
     "drawing",
     "picking",
     "details",

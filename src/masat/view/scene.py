@@ -61,7 +61,8 @@ def _facts(graph: PoseGraph, result: Result | None) -> list[tuple[str, str]]:
     facts.append(("optimizer", f"{result.iterations} iterations, {result.method}"))
     if result.reduced_chi2 is not None:
         facts.append(("reduced chi2", f"{result.reduced_chi2:.4g}"))
-    facts.append(("stopped", result.message))
+    if not result.converged:
+        facts.append(("not converged", result.message))
     if result.certificate is not None:
         facts.append(("optimum", result.certificate.status))
     return facts

@@ -3,7 +3,8 @@
 import { painter } from "./colorings.js";
 import { THEMES, rgb } from "./colors.js";
 import { CIRCLE, circlePairs, ellipsePoints } from "./ellipses.js";
-import { Dots, Lines, Positions } from "./layers.js";
+import { COARSEST, Dots, Lines, Positions } from "./layers.js";
+import { Pace } from "./pace.js";
 
 // Layers by the order in which they are drawn; those of edges first.
 export const EDGE_LAYERS = ["closures", "odometry", "off", "rejected"];
@@ -12,18 +13,30 @@ const INK = { closures: [0.25, 0.12], odometry: [0.6, 0.35], off: [0.5, 0.3], re
 const WIDTHS = { closures: 1.2, odometry: 1.8, off: 1.8, rejected: 2.2 };
 const DASHES = { off: [2, 4], rejected: [9, 4] };
 // Dots of nodes take this part of the distance between them; smaller ones are not drawn.
-const NODE_PART = 0.45, SMALLEST_NODE = 2.5, LARGEST_NODE = 11;
+const NODE_PART = 0.3, SMALLEST_NODE = 2.5, LARGEST_NODE = 9;
+// More nodes are left out while a map moves that cannot keep up.
+const MANY_NODES = 2000;
+// A map that has not moved for so long is drawn with all details.
+const REST_MS = 300;
 const MOST_ELLIPSES = 300;
 
+/** Return what draws on a canvas. */
+export function rendererOf(canvas) {
+  const renderer = new THREE.WebGLRenderer({ canvas, antialias: false, alpha: false });
+  renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+  return renderer;
+}
+
 export class Drawing {
-  constructor(canvas, model, camera) {
+  constructor(renderer, model, camera) {
+    this.renderer = renderer;
     this.model = model;
     this.camera = camera;
     this.theme = "light";
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: false, alpha: false });
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     this.scene = new THREE.Scene();
     this.frames = 0;
+    this.pace = new Pace(COARSEST);
+    this.level = 0;
     this.afterFrame = [];
     this.hovered = null;
     this._place();
@@ -44,12 +57,43 @@ export class Drawing {
   request() {
     if (this.requested) return;
     this.requested = true;
+    const asked = performance.now();
     requestAnimationFrame((now) => {
       this.requested = false;
+      // Frames come late where those before are still being drawn.
+      if (this.isMoving) this.pace.count(performance.now() - asked);
       const flies = this.camera.advance(now);
       this.draw();
-      if (flies) this.request();
+      if (flies) this.move();
     });
+  }
+
+  /** Draw as coarsely as this machine needs to keep up, until the map has stood still for a moment. */
+  move() {
+    this.isMoving = true;
+    this._setLevel(this.pace.level);
+    this._restLater();
+    this.request();
+  }
+
+  _restLater() {
+    clearTimeout(this.resting);
+    this.resting = setTimeout(() => {
+      // A frame that is still to come is part of the movement.
+      if (this.requested) {
+        this._restLater();
+        return;
+      }
+      this.isMoving = false;
+      this._setLevel(0);
+      this.request();
+    }, REST_MS);
+  }
+
+  _setLevel(level) {
+    if (level === this.level) return;
+    this.level = level;
+    for (const layer of Object.values(this.layers)) if (layer instanceof Lines) layer.level = level;
   }
 
   draw() {
@@ -97,7 +141,8 @@ export class Drawing {
       const edges = this.edges[name];
       // What is off keeps its color, so that it is not taken for a part of the map.
       const own = paints.edge && (name === "odometry" || name === "closures");
-      if (own && paints.order) paints.order(edges);
+      // Odometry stays in its order, so that its lines can be joined.
+      if (own && paints.order && name === "closures") paints.order(edges);
       else edges.sort((a, b) => a - b);
       const pairs = new Float32Array(2 * edges.length);
       edges.forEach((edge, k) => pairs.set(this.model.ends(edge), 2 * k));
@@ -174,7 +219,9 @@ export class Drawing {
     if (arrays.truth) layers.truth = lines(1, { width: 1.4, dash: [5, 3] });
     if (arrays.observations) layers.observations = lines(2, { width: 1 });
     EDGE_LAYERS.forEach((name, k) => {
-      layers[name] = lines(3 + k, { width: WIDTHS[name], dash: DASHES[name], depth: depth && name !== "rejected" });
+      layers[name] = lines(3 + k, {
+        width: WIDTHS[name], dash: DASHES[name], isChain: name === "odometry", depth: depth && name !== "rejected",
+      });
     });
     layers.nodes = dots(10, { size: 6 });
     if (arrays.fixes) {
@@ -190,7 +237,7 @@ export class Drawing {
     layers.selectedDots = dots(23, { size: 16, shape: 1, depth: false });
     layers.selectedEllipse = lines(24, { width: 2, depth: false });
     this.layers = layers;
-    for (const layer of Object.values(layers)) this.scene.add(layer.object);
+    for (const layer of Object.values(layers)) this.scene.add(...layer.objects);
     const groups = {
       odometry: [layers.odometry], closures: [layers.closures], rejected: [layers.rejected], off: [layers.off],
       nodes: [layers.nodes], gauge: [layers.gauge],
@@ -297,7 +344,8 @@ export class Drawing {
     }
     const size = this.nodeSize;
     this.layers.nodes.uniforms.size.value = size;
-    if (this.wanted) this.layers.nodes.visible = size > 0 && this.wanted.nodes !== false;
+    const tooMany = this.level > 1 && this.model.nodeCount > MANY_NODES;
+    if (this.wanted) this.layers.nodes.visible = size > 0 && this.wanted.nodes !== false && !tooMany;
     // Dots are measured in pixels of the screen.
     const ratio = this.renderer.getPixelRatio();
     for (const [name, layer] of Object.entries(this.layers)) {

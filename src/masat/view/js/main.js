@@ -2,7 +2,7 @@
 
 import { Camera } from "./camera.js";
 import { Details } from "./details.js";
-import { Drawing } from "./drawing.js";
+import { Drawing, rendererOf } from "./drawing.js";
 import { exportOff, offList, showOff } from "./edits.js";
 import { say } from "./format.js";
 import { Keys } from "./keys.js";
@@ -31,12 +31,15 @@ function halvesOf(model) {
 
 async function begin() {
   const source = document.getElementById("payload");
-  const model = new Model(await unpack(source.textContent));
+  // The data is unpacked beside the start of WebGL, which takes as long.
+  const unpacking = unpack(source.textContent);
   source.remove();
   const canvas = document.getElementById("map");
+  const renderer = rendererOf(canvas);
+  const model = new Model(await unpacking);
   let drawing = null;
-  const camera = new Camera(canvas, halvesOf(model), () => drawing?.request());
-  drawing = new Drawing(canvas, model, camera);
+  const camera = new Camera(canvas, halvesOf(model), () => drawing?.move());
+  drawing = new Drawing(renderer, model, camera);
   const picker = new Picker(model, drawing);
 
   const pointOf = (what) => {

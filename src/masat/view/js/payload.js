@@ -6,8 +6,7 @@ const ARRAY_TYPES = {
 
 /** Return the header, with `arrays`: flat typed arrays by name, each with its `shape`. */
 export async function unpack(text) {
-  const compressed = Uint8Array.from(atob(text.trim()), (c) => c.charCodeAt(0));
-  const stream = new Blob([compressed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const stream = new Blob([fromBase64(text.trim())]).stream().pipeThrough(new DecompressionStream("deflate"));
   const data = await new Response(stream).arrayBuffer();
   const begin = 4 + new DataView(data).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, begin - 4)));
@@ -18,4 +17,11 @@ export async function unpack(text) {
     header.arrays[name] = array;
   }
   return header;
+}
+
+function fromBase64(text) {
+  if (Uint8Array.fromBase64) return Uint8Array.fromBase64(text);
+  const letters = atob(text), bytes = new Uint8Array(letters.length);
+  for (let k = 0; k < bytes.length; k++) bytes[k] = letters.charCodeAt(k);
+  return bytes;
 }

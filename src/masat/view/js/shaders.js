@@ -27,6 +27,7 @@ varying vec2 along;
 varying float pale;
 ${FETCH}${DEPTH}
 void main() {
+  float end = float(gl_VertexID >> 1 & 1), side = float(gl_VertexID & 1) * 2.0 - 1.0;
   vec4 a = modelViewMatrix * vec4(positionOf(ends.x), 1.0);
   vec4 b = modelViewMatrix * vec4(positionOf(ends.y), 1.0);
   // What lies behind the camera has no place on the screen.
@@ -45,13 +46,13 @@ void main() {
   float reach = distance(p, q);
   vec2 ahead = reach > 1e-4 ? (q - p) / reach : vec2(1.0, 0.0);
   // One pixel more, over which the edge of the line fades.
-  across = position.y * (0.5 * width + 1.0);
-  vec4 at = mix(from, to, position.x);
+  across = side * (0.5 * width + 1.0);
+  vec4 at = mix(from, to, end);
   at.xy += vec2(-ahead.y, ahead.x) * across * 2.0 / resolution * at.w;
   gl_Position = at;
   color = tint;
-  along = vec2(position.x * reach * at.w, at.w);
-  pale = paleness(-mix(a.z, b.z, position.x));
+  along = vec2(end * reach * at.w, at.w);
+  pale = paleness(-mix(a.z, b.z, end));
 }
 `;
 
@@ -70,6 +71,29 @@ void main() {
   if (cover < 0.02) discard;
   gl_FragColor = vec4(mix(color.rgb, paper, pale), cover * opacity * color.a);
 }
+`;
+
+// Lines of one pixel, which cost a fifth: large maps are drawn by them while they move.
+export const PLAIN_VERTEX = `
+attribute float node;
+attribute vec4 tint;
+varying vec4 color;
+varying float pale;
+${FETCH}${DEPTH}
+void main() {
+  vec4 at = modelViewMatrix * vec4(positionOf(node), 1.0);
+  gl_Position = projectionMatrix * at;
+  color = tint;
+  pale = paleness(-at.z);
+}
+`;
+
+export const PLAIN_FRAGMENT = `
+uniform float opacity;
+uniform vec3 paper;
+varying vec4 color;
+varying float pale;
+void main() { gl_FragColor = vec4(mix(color.rgb, paper, pale), opacity); }
 `;
 
 export const DOT_VERTEX = `

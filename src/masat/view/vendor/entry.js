@@ -1,7 +1,7 @@
+// What the view uses of three.js.
 export {
-  BufferAttribute, BufferGeometry, Color, DataTexture, DynamicDrawUsage, FloatType,
-  InstancedBufferAttribute, InstancedBufferGeometry, MOUSE, Matrix4, Mesh, NearestFilter,
-  OrthographicCamera, PerspectiveCamera, Points, RGBAFormat, Scene, ShaderMaterial, Sphere,
-  TOUCH, UnsignedByteType, Vector2, Vector3, Vector4, WebGLRenderer,
-} from 'three';
-export { OrbitControls } from 'three/addons/controls/OrbitControls.js';
+  BufferAttribute, BufferGeometry, Color, ColorManagement, DataTexture, FloatType, LineSegments,
+  Matrix4, MOUSE, Mesh, DoubleSide, OrthographicCamera, PerspectiveCamera, Points, RGBAFormat,
+  Scene, ShaderMaterial, TOUCH, Vector2, Vector3, WebGLRenderer,
+} from "three";
+export { OrbitControls } from "three/addons/controls/OrbitControls.js";
