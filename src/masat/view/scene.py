@@ -58,7 +58,8 @@ def _facts(graph: PoseGraph, result: Result | None) -> list[tuple[str, str]]:
     facts = [("graph", f"{graph.dimension}D, {len(graph):,} nodes")]
     if result is None:
         return facts
-    facts.append(("optimizer", f"{result.iterations} iterations, {result.method}"))
+    iterations = f"{result.iterations} iteration{'' if result.iterations == 1 else 's'}"
+    facts.append(("optimizer", f"{iterations}, {result.method}"))
     if result.reduced_chi2 is not None:
         facts.append(("reduced chi2", f"{result.reduced_chi2:.4g}"))
     if not result.converged:

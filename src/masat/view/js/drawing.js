@@ -121,7 +121,7 @@ export class Drawing {
     this.theme = theme;
     const paper = rgb(THEMES[theme].paper);
     this._shared.paper.value.set(...paper.map((value) => value / 255));
-    this.renderer.setClearColor(new THREE.Color(...paper.map((value) => value / 255)), 1);
+    this.renderer.setClearColor(new THREE.Color(THEMES[theme].paper), 1);
     this.paint();
   }
 
@@ -229,7 +229,7 @@ export class Drawing {
       layers.fixes = dots(11, { size: 9, shape: 3 });
     }
     if (arrays.landmarks) layers.landmarks = dots(12, { size: 8, shape: 2 });
-    if (arrays.covariances) layers.ellipses = lines(13, { width: 1.2 });
+    if (arrays.covariances) layers.ellipses = lines(13, { width: 1, opacity: 0.6 });
     layers.gauge = dots(14, { size: 13, shape: 1, depth: false });
     layers.hoveredLines = lines(20, { width: 4, depth: false });
     layers.hoveredDots = dots(21, { size: 14, shape: 1, depth: false });

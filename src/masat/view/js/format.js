@@ -3,7 +3,8 @@
 /** Return a number with six digits, as Python's format "g" writes it, or a dash. */
 export function number(value, digits = 6) {
   if (value === undefined || value === null || Number.isNaN(value)) return "–";
-  return Number(value.toPrecision(digits)).toString();
+  const rounded = Number(value.toPrecision(digits)), size = Math.abs(rounded);
+  return size > 0 && size < 1e-4 ? Number(rounded).toExponential() : rounded.toString();
 }
 
 /** Return a count with separators. */

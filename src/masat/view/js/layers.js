@@ -63,8 +63,8 @@ const CORNERS = [0, 1, 2, 2, 1, 3];
 
 /** Lines between pairs of positions. */
 export class Lines extends Layer {
-  constructor(shared, { width, order, dash = [0, 0], depth = false, isChain = false }) {
-    const own = { width, opacity: 1, dash: new THREE.Vector2(...dash) };
+  constructor(shared, { width, order, opacity = 1, dash = [0, 0], depth = false, isChain = false }) {
+    const own = { width, opacity, dash: new THREE.Vector2(...dash) };
     super(new THREE.Mesh(new THREE.BufferGeometry(), material(LINE_VERTEX, LINE_FRAGMENT, shared, own, depth)), order);
     this.object.material.side = THREE.DoubleSide;
     this.plain = new THREE.LineSegments(

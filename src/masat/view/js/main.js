@@ -14,8 +14,8 @@ import { unpack } from "./payload.js";
 import { Picker } from "./picking.js";
 import { find } from "./search.js";
 
-// A flight ends where this many steps of the odometry fit around its goal.
-const STEPS_AROUND = 6;
+// A flight ends where this many steps of the odometry fit around its goal, or this part of the map.
+const STEPS_AROUND = 5, PART_AROUND = 0.2;
 // Pixels that the pointer may move in a click.
 const CLICK = 4;
 
@@ -56,7 +56,7 @@ async function begin() {
   const pick = (what) => model.select(what);
   const fly = (what) => {
     const { point, size } = pointOf(what);
-    camera.fly(point, Math.max(size, STEPS_AROUND * drawing.spacing));
+    camera.fly(point, Math.max(size, Math.min(STEPS_AROUND * drawing.spacing, PART_AROUND * camera.radius)));
   };
   const details = new Details(model, { pick, fly, toggle: (edge) => model.toggle(edge) });
   const list = new EdgeList(model, { pick, fly });

@@ -1,6 +1,6 @@
 // What the view uses of three.js.
 export {
-  BufferAttribute, BufferGeometry, Color, ColorManagement, DataTexture, FloatType, LineSegments,
+  BufferAttribute, BufferGeometry, Color, DataTexture, FloatType, LineSegments,
   Matrix4, MOUSE, Mesh, DoubleSide, OrthographicCamera, PerspectiveCamera, Points, RGBAFormat,
   Scene, ShaderMaterial, TOUCH, Vector2, Vector3, WebGLRenderer,
 } from "three";
