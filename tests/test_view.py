@@ -75,7 +75,7 @@ def test_a_graph_is_drawn_as_it_is(graph):
 
 
 def test_positions_far_from_the_origin_keep_their_digits(graph):
-    moved = graph.with_poses(graph.poses + [5e5, 5e6, 0])
+    moved = graph.with_poses(graph.poses + np.array([5e5, 5e6, 0]))
     header, drawn = content(masat.view(moved))
     positions = drawn["positions"][0] + header["center"]
     np.testing.assert_allclose(positions, moved.poses[:, :2], atol=1e-5, rtol=0)

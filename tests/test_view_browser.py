@@ -113,9 +113,11 @@ def click_edge(page, edge):
 
 def row(page, name):
     """The text beside a name in the card."""
-    return page.locator("#details tr", has=page.locator(f"th:text-is('{name}')")).locator(
-        "td"
-    ).inner_text()
+    return (
+        page.locator("#details tr", has=page.locator(f"th:text-is('{name}')"))
+        .locator("td")
+        .inner_text()
+    )
 
 
 def pixels(page):
@@ -189,7 +191,7 @@ def test_the_list_exported_is_replayed_exactly(page, spoiled, tmp_path):
     listed = tmp_path / "off.txt"
     download.value.save_as(listed)
     off = masat.formats.read_edge_list(listed, graph)
-    expected = np.flatnonzero(~result.kept).tolist() + [closure]
+    expected = [*np.flatnonzero(~result.kept).tolist(), closure]
     assert off.tolist() == sorted(expected)
     source, out = tmp_path / "graph.g2o", tmp_path / "map.g2o"
     masat.write(graph, source)

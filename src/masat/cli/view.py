@@ -75,7 +75,7 @@ def view(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Write an HTML page with the map in FILE, which any browser opens, without a server or network.
+    """Write an HTML page with the map in FILE, which any browser opens, also offline.
 
     Drag to move the map, turn the wheel to zoom. Point at nodes and edges to read their ids,
     measurement, residual and chi2, and click to pick them. Color by chi2, time, session or robust

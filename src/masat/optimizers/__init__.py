@@ -287,8 +287,8 @@ def optimize_assembly(
         if trusted is not None:
             believed[: len(source.edges)] = checked_mask(source, trusted)
     if report_poses is not None:
-        report = report_poses
-        options["report_poses"] = lambda poses: report(assembly.disassembled(poses).poses)
+        report, at = report_poses, assembly.poses_at
+        options["report_poses"] = lambda nodes: report(nodes[at])
     result = optimize(graph, method, loss=loss, trusted=believed, **options)
     result = replace(
         result,

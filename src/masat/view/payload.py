@@ -18,7 +18,7 @@ import numpy as np
 from masat.arrays import AnyArray
 
 # Types that JavaScript has typed arrays for, by their names in the header.
-_TYPES = {
+_TYPES: dict[str, np.dtype[Any]] = {
     "f4": np.dtype("<f4"),
     "f8": np.dtype("<f8"),
     "i4": np.dtype("<i4"),

@@ -49,8 +49,10 @@ export class Drawing {
     };
     this._makeLayers();
     this.edges = {};
-    this.assign();
-    this.moveNodes();
+    this.lengths = {};
+    this._assignLayers();
+    this.positions.write(0, model.positions, model.dimension);
+    this._measure();
   }
 
   /** Ask for a picture with the next frame. */
@@ -125,12 +127,17 @@ export class Drawing {
     this.paint();
   }
 
-  /** Give each edge to its layer. */
+  /** Give each edge to its layer again. */
   assign() {
+    this._assignLayers();
+    this._measure();
+    this.paint();
+  }
+
+  _assignLayers() {
     const lists = Object.fromEntries(EDGE_LAYERS.map((name) => [name, []]));
     for (let k = 0; k < this.model.edgeCount; k++) lists[this.model.layerOf(k)].push(k);
     for (const name of EDGE_LAYERS) this.edges[name] = lists[name];
-    this.paint();
   }
 
   /** Color everything. */
@@ -151,7 +158,6 @@ export class Drawing {
     const all = Float32Array.from({ length: this.model.nodeCount }, (_, k) => k);
     this.layers.nodes.set(all, tints(all, paints.node ?? constant(colors.nodes)));
     this._paintOthers(colors);
-    this._measure();
     this.highlight();
   }
 
