@@ -242,6 +242,15 @@ def test_covariances_are_along_the_axes_of_the_world():
     np.testing.assert_allclose(drawn["covariances"][1], [0.01, 0, 1], atol=1e-6)
 
 
+def test_maps_that_diverged_are_drawn(graph):
+    far = graph.poses.copy()
+    far[5:, 0] = 1e60
+    header, drawn = content(masat.view(graph, iterations=[far, graph.poses]))
+    assert header["chi2"][0] > 1e100
+    assert np.isinf(drawn["chi2"][0]).any()
+    assert np.isfinite(drawn["chi2"][1]).all()
+
+
 def test_a_3d_map_is_drawn():
     graph = perturb(sphere(100, seed=0), (0.1, 0.1, 0.1, 0.05, 0.05, 0.05), seed=0)
     header, drawn = content(masat.view(masat.solve(graph), before=graph, covariances=True))

@@ -318,6 +318,28 @@ def test_colors_layers_theme_and_help(show, spoiled):
     assert page.locator("#panel").is_visible()
 
 
+def test_sessions_components_and_labels_have_colors(show, spoiled):
+    graph = spoiled[0].with_poses(spoiled[1].poses)
+    merged = masat.merge([graph, graph], between=([(0, 3, 1, 3)], [(0, 0, 0)]))
+    apart = merged.without_edges([len(merged.edges) - 1])
+    beside = merged.poses.copy()
+    beside[masat.sessions(merged) == 1, 0] += 10
+    labeled = masat.PoseGraph.from_arrays(
+        apart.edges,
+        apart.measurements,
+        apart.information,
+        poses=beside,
+        labels=np.arange(len(apart.edges)) % 3,
+    )
+    page = show(masat.view(labeled))
+    for key, said in (("session", "session 1"), ("component", "component 0"), ("label", "2")):
+        page.locator("#coloring").select_option(key)
+        assert said in page.locator("#legend").inner_text()
+        settle(page)
+        assert near(pixels(page), "#0072b2") > 300  # the first category
+        page.keyboard.press("Escape")
+
+
 def test_everything_else_is_drawn_and_picked(show, spoiled):
     graph, result = spoiled
     believed = graph.without_edges(np.flatnonzero(~result.kept)).with_poses(result.poses)

@@ -12,6 +12,7 @@ from masat.chain import odometry_edges
 from masat.errors import GraphError
 from masat.graph import PoseGraph
 from masat.residuals import chi2_per_edge, residuals
+from masat.view.payload import single
 
 if TYPE_CHECKING:
     from masat.optimizers import Result
@@ -80,9 +81,9 @@ class Edges:
             "ends": self.ends.astype(np.int32),
             "is_odometry": self.is_odometry,
             "kept": self.kept,
-            "chi2": chi2.astype(np.float32),
-            "measurements": self._spread(self.graph.measurements).astype(np.float32),
-            "residuals": self._spread(residuals(self.graph, states[-1].poses)).astype(np.float32),
+            "chi2": single(chi2),
+            "measurements": single(self._spread(self.graph.measurements)),
+            "residuals": single(self._spread(residuals(self.graph, states[-1].poses))),
         }
         # Sums in double precision, of the edges that the map was made of.
         totals = [float(row[self.kept].sum()) for row in chi2]
@@ -90,7 +91,7 @@ class Edges:
         if self._result is not None and self._result.weights is not None:
             weights = np.zeros(len(self.kept))
             weights[self.kept] = self._result.weights
-            arrays["weights"] = weights.astype(np.float32)
+            arrays["weights"] = single(weights)
         self._add_decision(arrays, header)
         self._add_labels(arrays, header)
         return arrays, header

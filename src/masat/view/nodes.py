@@ -12,6 +12,7 @@ from masat.arrays import AnyArray, Floats
 from masat.chain import sessions
 from masat.covariance import covariances
 from masat.graph import PoseGraph
+from masat.view.payload import single
 from masat.view.states import State
 
 
@@ -36,8 +37,8 @@ def node_arrays(
     assert graph.poses is not None
     arrays: dict[str, AnyArray] = {
         "ids": graph.ids,
-        "positions": positions.astype(np.float32),
-        "rotations": graph.poses[:, d:].astype(np.float32),
+        "positions": single(positions),
+        "rotations": single(graph.poses[:, d:]),
         "gauge": graph.index(graph.gauge).astype(np.int32),
     }
     header: dict[str, Any] = {"fixed": [str(node) for node in graph.fixed.tolist()[:1000]]}
@@ -52,7 +53,7 @@ def node_arrays(
         arrays["stamps"] = seconds.astype(np.float64)
         header["first_stamp"] = str(first)
     if with_covariances:
-        arrays["covariances"] = _position_covariances(graph).astype(np.float32)
+        arrays["covariances"] = single(_position_covariances(graph))
     return arrays, header
 
 

@@ -12,6 +12,7 @@ from masat.errors import EvaluationError
 from masat.evaluation.alignment import aligned
 from masat.evaluation.matching import matched
 from masat.graph import PoseGraph
+from masat.view.payload import single
 
 if TYPE_CHECKING:
     from masat.optimizers import Result
@@ -43,15 +44,15 @@ def prior_arrays(graph: PoseGraph, result: Result | None, center: Floats) -> dic
     fixes[~measured.all(axis=1)] = np.nan
     arrays: dict[str, AnyArray] = {
         "prior_nodes": nodes.astype(np.int32),
-        "fixes": fixes.astype(np.float32),
-        "prior_chi2": graph.chi2_per_prior[rows].astype(np.float32),
+        "fixes": single(fixes),
+        "prior_chi2": single(graph.chi2_per_prior[rows]),
     }
     kept = _kept_measurements(result, "prior", len(priors))
     if kept is not None:
         arrays["prior_kept"] = kept[rows]
     weights = None if result is None else result.prior_weights
     if weights is not None and len(weights) == len(priors):
-        arrays["prior_weights"] = weights[rows].astype(np.float32)
+        arrays["prior_weights"] = single(weights[rows])
     return arrays
 
 
@@ -65,9 +66,9 @@ def landmark_arrays(graph: PoseGraph, center: Floats) -> dict[str, AnyArray]:
     )
     return {
         "landmark_ids": seen.ids,
-        "landmarks": (seen.positions - center).astype(np.float32),
+        "landmarks": single(seen.positions - center),
         "observations": ends.astype(np.int32),
-        "observation_chi2": graph.chi2_per_observation.astype(np.float32),
+        "observation_chi2": single(graph.chi2_per_observation),
     }
 
 
@@ -96,7 +97,7 @@ def truth_arrays(
     positions[own] = moved[:, :d] - center
     distance = np.sqrt(np.square(moved[:, :d] - map_poses[:, :d]).sum(axis=1))
     rmse = float(np.sqrt(np.square(distance).mean()))
-    return {"truth": positions.astype(np.float32)}, {"truth_rmse": rmse}
+    return {"truth": single(positions)}, {"truth_rmse": rmse}
 
 
 def _kept_measurements(result: Result | None, kind: str, count: int) -> Flags | None:

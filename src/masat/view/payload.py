@@ -14,8 +14,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from masat.arrays import AnyArray
+from masat.arrays import AnyArray, Floats
 
 # Types that JavaScript has typed arrays for, by their names in the header.
 _TYPES: dict[str, np.dtype[Any]] = {
@@ -30,6 +31,12 @@ _ALIGNMENT = 8
 _LENGTH_BYTES = 4
 # Higher levels take several times as long and save 1 %.
 _LEVEL = 4
+
+
+def single(values: Floats) -> NDArray[np.float32]:
+    """Return values in single precision; those of maps that diverged may become infinite."""
+    with np.errstate(over="ignore"):
+        return values.astype(np.float32)
 
 
 def pack(header: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> str:

@@ -3,22 +3,20 @@
 import { painter } from "./colorings.js";
 import { THEMES, rgb } from "./colors.js";
 import { CIRCLE, circlePairs, ellipsePoints } from "./ellipses.js";
-import { COARSEST, Dots, Lines, Positions } from "./layers.js";
+import { COARSEST, Dots, Lines } from "./layers.js";
 import { Pace } from "./pace.js";
+import { place } from "./placement.js";
+import { EDGE_LAYERS, OF_RESULT, WIDTHS, makeLayers } from "./stack.js";
+import { constant, setLines, tints } from "./tints.js";
 
-// Layers by the order in which they are drawn; those of edges first.
-export const EDGE_LAYERS = ["closures", "odometry", "off", "rejected"];
 // Which part of the map lines may cover before they become transparent, and how faint they may become.
 const INK = { closures: [0.25, 0.12], odometry: [0.6, 0.35], off: [0.5, 0.3], rejected: [0.45, 0.4] };
-const WIDTHS = { closures: 1.2, odometry: 1.8, off: 1.8, rejected: 2.2 };
-const DASHES = { off: [2, 4], rejected: [9, 4] };
 // Dots of nodes take this part of the distance between them; smaller ones are not drawn.
 const NODE_PART = 0.3, SMALLEST_NODE = 2.5, LARGEST_NODE = 9;
 // More nodes are left out while a map moves that cannot keep up.
 const MANY_NODES = 2000;
 // A map that has not moved for so long is drawn with all details.
 const REST_MS = 300;
-const MOST_ELLIPSES = 300;
 
 /** Return what draws on a canvas. */
 export function rendererOf(canvas) {
@@ -39,7 +37,7 @@ export class Drawing {
     this.level = 0;
     this.afterFrame = [];
     this.hovered = null;
-    this._place();
+    Object.assign(this, place(model));
     this._shared = {
       positions: { value: this.positions.texture },
       resolution: { value: new THREE.Vector2(1, 1) },
@@ -47,11 +45,11 @@ export class Drawing {
       fade: { value: new THREE.Vector2(0, 0) },
       paper: { value: new THREE.Vector3(1, 1, 1) },
     };
-    this._makeLayers();
+    Object.assign(this, makeLayers(this._shared, model.arrays, camera.is3d));
+    for (const layer of Object.values(this.layers)) this.scene.add(...layer.objects);
     this.edges = {};
     this.lengths = {};
     this._assignLayers();
-    this.positions.write(0, model.positions, model.dimension);
     this._measure();
   }
 
@@ -181,7 +179,7 @@ export class Drawing {
   updateVisibility(wanted) {
     this.wanted = wanted;
     for (const [name, layers] of Object.entries(this.groups)) {
-      const shown = wanted[name] !== false && (this.model.isResult || !this.resultOnly.has(name));
+      const shown = wanted[name] !== false && (this.model.isResult || !OF_RESULT.has(name));
       for (const layer of layers) layer.visible = shown;
     }
     this.request();
@@ -193,67 +191,6 @@ export class Drawing {
   get nodeSize() {
     const side = NODE_PART * this.spacing * this.camera.pixelsPerMeter;
     return side < SMALLEST_NODE ? 0 : Math.min(side, LARGEST_NODE);
-  }
-
-  _place() {
-    const { arrays, nodeCount: n, dimension: d } = this.model;
-    const count = (name) => (arrays[name]?.length ?? 0) / d;
-    // Where the parts begin: nodes, true positions, position fixes, landmarks, ellipses.
-    this.first = { truth: n };
-    this.first.fixes = this.first.truth + count("truth");
-    this.first.landmarks = this.first.fixes + count("fixes");
-    this.first.ellipses = this.first.landmarks + count("landmarks");
-    this.circles = d === 2 ? 1 : 3;
-    this.ellipseNodes = [];
-    if (arrays.covariances) {
-      const step = Math.max(1, Math.ceil(n / MOST_ELLIPSES));
-      for (let k = 0; k < n; k += step) this.ellipseNodes.push(k);
-    }
-    // One more, of the node that is selected.
-    const points = (this.ellipseNodes.length + 1) * this.circles * CIRCLE;
-    this.positions = new Positions(this.first.ellipses + points);
-    for (const name of ["truth", "fixes", "landmarks"]) {
-      if (arrays[name]) this.positions.write(this.first[name], arrays[name], d);
-    }
-  }
-
-  _makeLayers() {
-    const depth = this.camera.is3d, { arrays } = this.model;
-    const lines = (order, options) => new Lines(this._shared, { order, depth, ...options });
-    const dots = (order, options) => new Dots(this._shared, { order, depth, ...options });
-    const layers = {};
-    if (arrays.truth) layers.truth = lines(1, { width: 1.4, dash: [5, 3] });
-    if (arrays.observations) layers.observations = lines(2, { width: 1 });
-    EDGE_LAYERS.forEach((name, k) => {
-      layers[name] = lines(3 + k, {
-        width: WIDTHS[name], dash: DASHES[name], isChain: name === "odometry", depth: depth && name !== "rejected",
-      });
-    });
-    layers.nodes = dots(10, { size: 6 });
-    if (arrays.fixes) {
-      layers.priorLines = lines(8, { width: 1 });
-      layers.fixes = dots(11, { size: 9, shape: 3 });
-    }
-    if (arrays.landmarks) layers.landmarks = dots(12, { size: 8, shape: 2 });
-    if (arrays.covariances) layers.ellipses = lines(13, { width: 1, opacity: 0.6 });
-    layers.gauge = dots(14, { size: 13, shape: 1, depth: false });
-    layers.hoveredLines = lines(20, { width: 4, depth: false });
-    layers.hoveredDots = dots(21, { size: 14, shape: 1, depth: false });
-    layers.selectedLines = lines(22, { width: 4, depth: false });
-    layers.selectedDots = dots(23, { size: 16, shape: 1, depth: false });
-    layers.selectedEllipse = lines(24, { width: 2, depth: false });
-    this.layers = layers;
-    for (const layer of Object.values(layers)) this.scene.add(...layer.objects);
-    const groups = {
-      odometry: [layers.odometry], closures: [layers.closures], rejected: [layers.rejected], off: [layers.off],
-      nodes: [layers.nodes], gauge: [layers.gauge],
-    };
-    if (layers.fixes) groups.priors = [layers.priorLines, layers.fixes];
-    if (layers.landmarks) groups.landmarks = [layers.landmarks, layers.observations];
-    if (layers.truth) groups.truth = [layers.truth];
-    if (layers.ellipses) groups.ellipses = [layers.ellipses];
-    this.groups = groups;
-    this.resultOnly = new Set(["priors", "landmarks", "truth", "ellipses"]);
   }
 
   _paintOthers(colors) {
@@ -360,26 +297,4 @@ export class Drawing {
       layer.uniforms.size.value = ratio * (name === "nodes" ? size : layer.side);
     }
   }
-}
-
-function constant(color) {
-  const value = rgb(color);
-  return () => value;
-}
-
-/** Return red, green, blue and opacity of each item. */
-function tints(items, colorOf) {
-  const out = new Uint8Array(4 * items.length);
-  for (let k = 0; k < items.length; k++) {
-    const [r, g, b] = colorOf(items[k]);
-    out[4 * k] = r;
-    out[4 * k + 1] = g;
-    out[4 * k + 2] = b;
-    out[4 * k + 3] = 255;
-  }
-  return out;
-}
-
-function setLines(layer, pairs, color) {
-  layer.set(Float32Array.from(pairs), tints({ length: pairs.length / 2 }, constant(color)));
 }

@@ -181,6 +181,7 @@ begin().catch((error) => {
   say("");
   const message = document.getElementById("message");
   clearTimeout(say.timer);
-  message.textContent = `The map cannot be drawn: ${error.message}. The page needs a browser of 2023 or later with WebGL 2.`;
+  const why = error.message.replace(/\.$/, "");
+  message.textContent = `The map cannot be drawn: ${why}. The page needs a browser of 2023 or later with WebGL 2.`;
   message.hidden = false;
 });

@@ -1,6 +1,5 @@
 // What the page knows: the data, which map is shown, what is picked, which edges are switched off.
 
-export const RESULT_ONLY = "shown with the result alone";
 // Edges that are listed.
 const MOST_LISTED = 200;
 

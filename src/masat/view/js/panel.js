@@ -4,6 +4,7 @@ import { VIEWS } from "./camera.js";
 import { colorings } from "./colorings.js";
 import { THEMES } from "./colors.js";
 import { count, element, number, rows } from "./format.js";
+import { OF_RESULT } from "./stack.js";
 
 const LAYER_NAMES = {
   odometry: "odometry", closures: "loop closures", rejected: "rejected", off: "switched off", nodes: "nodes",
@@ -57,7 +58,7 @@ export class Panel {
     const items = this.layerNames.map((name, k) => {
       const box = element("input", { type: "checkbox", checked: this.wanted[name], "data-layer": name });
       box.addEventListener("change", () => this.toggleLayer(name));
-      const away = !this.model.isResult && this.drawing.resultOnly.has(name) ? " (result only)" : "";
+      const away = !this.model.isResult && OF_RESULT.has(name) ? " (result only)" : "";
       return element(
         "label", { title: k < 9 ? `Key ${k + 1}` : "" }, box, swatch(name, THEMES[this.drawing.theme]),
         element("span", {}, LAYER_NAMES[name] + away), element("small", {}, count(this._count(name))),

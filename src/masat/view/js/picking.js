@@ -1,6 +1,6 @@
 // What the pointer points at: the nearest node, edge or landmark on the screen.
 
-import { EDGE_LAYERS } from "./drawing.js";
+import { EDGE_LAYERS } from "./stack.js";
 
 // Pixels from the pointer within which something is pointed at.
 const REACH = 9;
