@@ -5,7 +5,7 @@ import { THEMES, categoryColor, ramp, rgb } from "./colors.js";
 // Edges beyond this quantile of chi2 have the last color; one huge chi2 must not take the whole scale.
 const HIGHEST = 0.999;
 // Edges with less than this fraction of the highest chi2 have the first color.
-const SPAN = 1e-4;
+const SPAN = 1e-2;
 
 /** Return the colorings that the data allows: key and text. */
 export function colorings(model) {
