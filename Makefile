@@ -11,7 +11,7 @@ define install_extra
 	$(BIN)/pip install -q -r $(VENV)/$(1).txt
 endef
 
-.PHONY: demo test test-slow test-evo lint format sanitize sanitize-threads compilers benchmark clean
+.PHONY: demo test test-slow test-browser test-evo lint format sanitize sanitize-threads compilers benchmark clean
 
 demo: $(VENV)/.masat
 	$(BIN)/masat demo
@@ -53,6 +53,11 @@ sanitize-threads: $(VENV)/.test
 	LD_PRELOAD="$$($(CXX) -print-file-name=libtsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	PYTHONPATH=build/sanitized-threads $(BIN)/python -m pytest -q tests/test_cholesky.py \
 	  tests/test_covariance.py -k "(same_bits and 2) or pivot or interrupted or no_more_threads or on_the_threads"
+
+# The view in Chromium, which has to be installed: apt-get install chromium.
+test-browser: $(VENV)/.test
+	$(call install_extra,browser)
+	$(BIN)/python -m pytest -q tests/test_view_browser.py
 
 # evo is under the GPL, so no extra has it: it is installed in an environment of its own.
 test-evo: $(VENV)/evo/.done

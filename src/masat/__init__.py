@@ -42,6 +42,7 @@ from masat.optimality.certificate import Certificate, certify
 from masat.optimizers import Iteration, Result, StopReason, optimize
 from masat.plotting import plot
 from masat.solver import solve
+from masat.view import view
 
 __all__ = [
     "Certificate",
@@ -86,6 +87,7 @@ __all__ = [
     "relative_covariances",
     "sessions",
     "solve",
+    "view",
     "write",
 ]
 

@@ -19,7 +19,7 @@ from masat.optimality.certificate import certify as certified
 from masat.optimizers import Result, StopReason, check_method, optimize, optimize_assembly
 from masat.optimizers.equations import normal_equations
 from masat.optimizers.losses import EdgeLoss, Loss
-from masat.optimizers.termination import Report
+from masat.optimizers.termination import Report, ReportPoses
 from masat.outliers import (
     Minimum,
     Suspicion,
@@ -51,6 +51,7 @@ def solve(
     seed: int = 0,
     budget: float | None = None,
     report: Report | None = None,
+    report_poses: ReportPoses | None = None,
     report_stage: ReportStage | None = None,
 ) -> Result:
     """Make a map of a pose graph: initial guess, optimization and, on request, the certificate.
@@ -98,6 +99,9 @@ def solve(
         Seconds after which the best map so far is returned. Default: no limit.
     report : callable, optional
         Called with the `Iteration` after each iteration of the optimizer; returning True stops it.
+    report_poses : callable, optional
+        Called with the poses, (n, 3) or (n, 7) in the order of `graph.ids`: those of the initial
+        guess, and then those after each iteration of the optimizer.
     report_stage : callable, optional
         Called with a `masat.progress.Stage` at the beginning of each stage of the search.
 
@@ -185,6 +189,7 @@ def solve(
         "max_iterations": limit,
         "relative_tolerance": relative_tolerance,
         "report": report,
+        "report_poses": report_poses,
         "progress": progress,
         "equations": equations,
     }

@@ -16,6 +16,7 @@ EXIT_INTERRUPTED = 130
 _COMMANDS = {
     "solve": "Optimize a pose graph and write the map.",
     "merge": "Merge the sessions of a robot, or of several, into one map.",
+    "view": "Look at a map in the browser: an HTML page that needs no server.",
     "info": "Say what a pose graph is like and what is wrong with it.",
     "compare": "Solve a pose graph from every initial guess and compare.",
     "replay": "Feed a pose graph to a map that grows, pose by pose, and time the steps.",

@@ -68,14 +68,23 @@ def reading(command: F) -> F:
 
 def load(file: Path, file_format: str | None, indefinite: Any, quiet: bool) -> PoseGraph:
     """Read FILE, a graph or a saved result, and print its notes."""
+    loaded = load_any(file, file_format, indefinite, quiet)
+    return loaded.graph if isinstance(loaded, Result) else loaded
+
+
+def load_any(
+    file: Path, file_format: str | None, indefinite: Any, quiet: bool
+) -> PoseGraph | Result:
+    """Read FILE as what it is, a graph or a saved result, and print its notes."""
+    loaded: PoseGraph | Result
     max_bytes = click.get_current_context().meta.get(_MAX_BYTES, MAX_BYTES)
     if file_format is None and _is_saved_result(file):
-        graph = Result.load(file).graph
+        loaded = Result.load(file)
     else:
-        graph = read(file, format=file_format, indefinite=indefinite, max_bytes=max_bytes)
+        loaded = read(file, format=file_format, indefinite=indefinite, max_bytes=max_bytes)
     if not quiet:
-        notes(graph.notes)
-    return graph
+        notes(loaded.graph.notes if isinstance(loaded, Result) else loaded.notes)
+    return loaded
 
 
 def _is_saved_result(file: Path) -> bool:

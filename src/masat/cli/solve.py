@@ -11,7 +11,7 @@ import click
 from masat.cli import EXIT_NOT_CONVERGED, options, show
 from masat.cli.decisions import rejected_part, rows_of_decision
 from masat.cli.progress import Iterations, Stages
-from masat.formats import format_of, write
+from masat.formats import format_of, read_edge_list, write
 from masat.graph import PoseGraph
 from masat.optimizers import Result
 from masat.outliers import Suspicion
@@ -51,6 +51,13 @@ from masat.solver import solve as solved
     help="Where to write the edges, priors and observations that --robust rejects, and nothing "
     "else, in g2o.",
 )
+@click.option(
+    "--without",
+    "left_out",
+    type=click.Path(path_type=Path),
+    help="List of edges to leave out, as the page of masat view exports it. A line is the index of "
+    "an edge (from 0, in the order of FILE), the ids 'from to', or 'from to index'.",
+)
 @options.robust_loss
 @options.optimizer
 @options.output
@@ -70,6 +77,7 @@ def solve(
     certify: bool | None,
     robust: bool,
     rejected: Path | None,
+    left_out: Path | None,
     loss: str | None,
     loss_scale: float | None,
     optimizer: str,
@@ -89,6 +97,7 @@ def solve(
     if rejected is not None and not robust:
         raise click.UsageError("--rejected goes with --robust")
     options.check_outputs(file, out, rejected, save, picture)
+    options.check_outputs(left_out, out, rejected, save, picture)
     options.check_picture(picture)
     if out is not None:
         format_of(out)
@@ -98,6 +107,7 @@ def solve(
     begin = perf_counter()
     graph = options.load(file, file_format, indefinite, quiet)
     read_seconds = perf_counter() - begin
+    graph = _without(graph, left_out, quiet)
     options.check_stamps(graph, out)
     stages = Stages(f"{file.name}  {init}", quiet=quiet)
     iterations = Iterations(file.name, max_iterations, quiet=quiet)
@@ -155,6 +165,16 @@ def solve(
         if quiet or as_json:
             click.echo(f"masat: {file}: {result.message}", err=True)
         ctx.exit(EXIT_NOT_CONVERGED)
+
+
+def _without(graph: PoseGraph, file: Path | None, quiet: bool) -> PoseGraph:
+    """Return the graph without the edges that a list names, if there is a list."""
+    if file is None:
+        return graph
+    edges = read_edge_list(file, graph)
+    if not quiet:
+        options.notes([f"{len(edges)} of {len(graph.edges)} edges are left out, by {file}"])
+    return graph.without_edges(edges)
 
 
 def print_result(result: Result, times: dict[str, float], written: list[Path]) -> None:

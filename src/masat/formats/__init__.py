@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from masat.formats.edge_lists import read_edge_list
 from masat.formats.links import read_links
 from masat.formats.observations import read_observations
 from masat.formats.reading import read
@@ -13,6 +14,7 @@ __all__ = [
     "check_needs",
     "format_of",
     "read",
+    "read_edge_list",
     "read_links",
     "read_observations",
     "write",

@@ -33,6 +33,7 @@ from masat.optimizers.termination import (
     Iteration,
     Outcome,
     Report,
+    ReportPoses,
     StopReason,
     Termination,
 )
@@ -81,6 +82,7 @@ def optimize(
     gradient_tolerance: float = 0.0,
     threads: int | None = None,
     report: Report | None = None,
+    report_poses: ReportPoses | None = None,
     progress: Progress | None = None,
     equations: _core.NormalEquations | None = None,
 ) -> Result:
@@ -123,6 +125,9 @@ def optimize(
         graph on this machine.
     report : callable, optional
         Called with the `Iteration` after each; returning True stops.
+    report_poses : callable, optional
+        Called with the poses, (n, 3) or (n, 7) in the order of `graph.ids`: those of the initial
+        guess, and then those after each iteration.
     progress : Progress, optional
         What limits the time, and decides what Ctrl-C does.
     equations : NormalEquations, optional
@@ -162,6 +167,7 @@ def optimize(
             gradient_tolerance=gradient_tolerance,
             threads=threads,
             report=report,
+            report_poses=report_poses,
             progress=progress,
             equations=equations,
         )
@@ -178,10 +184,8 @@ def optimize(
     if not np.isfinite(initial):
         raise OptimizationError("chi2 of the initial poses is not finite: they are too far apart")
     history: list[Iteration] = []
-
-    def keep(iteration: Iteration) -> bool:
-        history.append(iteration)
-        return (report is not None and report(iteration) is True) or progress.over
+    if report_poses is not None:
+        report_poses(graph.poses)
 
     termination = Termination(
         max_iterations,
@@ -203,6 +207,13 @@ def optimize(
         if lowest <= limits.rounding:
             return Outcome(poses, lowest, StopReason.ROUNDING)
         tracked = BestSoFar(cost, poses, lowest)
+
+        def keep(iteration: Iteration) -> bool:
+            history.append(iteration)
+            if report_poses is not None:
+                report_poses(tracked.latest)
+            return (report is not None and report(iteration) is True) or progress.over
+
         try:
             outcome = OPTIMIZERS[method](tracked, poses, limits, keep)
             outcome = away_from_half_turns(
@@ -257,6 +268,7 @@ def optimize_assembly(
     *,
     loss: str | Loss | EdgeLoss | None = None,
     trusted: Flags | None = None,
+    report_poses: ReportPoses | None = None,
     **options: Any,
 ) -> Result:
     """Optimize a graph with priors, landmarks or partial edges; parameters as of `optimize`.
@@ -274,6 +286,9 @@ def optimize_assembly(
         believed[: assembly.measured] = False
         if trusted is not None:
             believed[: len(source.edges)] = checked_mask(source, trusted)
+    if report_poses is not None:
+        report, at = report_poses, assembly.poses_at
+        options["report_poses"] = lambda nodes: report(nodes[at])
     result = optimize(graph, method, loss=loss, trusted=believed, **options)
     result = replace(
         result,

@@ -84,11 +84,16 @@ def checked_threads(threads: int) -> int:
 
 
 class BestSoFar:
-    """Equations that remember the poses of the lowest cost that they were asked about."""
+    """Equations that remember the poses of the lowest cost that they were asked about.
+
+    `latest` are the poses that they were asked about last: when an optimizer reports an iteration,
+    those after it.
+    """
 
     def __init__(self, inner: Equations, poses: Floats, chi2: float) -> None:
         self._inner = inner
         self.poses, self.lowest = poses, chi2
+        self.latest = poses
         self.rhs, self.diagonal, self.multiply = inner.rhs, inner.diagonal, inner.multiply
         self.factorize, self.solve, self.retract = inner.factorize, inner.solve, inner.retract
 
@@ -101,6 +106,7 @@ class BestSoFar:
         return self._remembered(poses, self._inner.linearize(poses))
 
     def _remembered(self, poses: Floats, chi2: float) -> float:
+        self.latest = poses
         if chi2 < self.lowest:
             self.poses, self.lowest = poses, chi2
         return chi2

@@ -65,6 +65,9 @@ class Iteration(NamedTuple):
 Report: TypeAlias = Callable[[Iteration], object]
 """Called after each iteration; returning True stops the optimizer."""
 
+ReportPoses: TypeAlias = Callable[[Floats], object]
+"""Called with the poses after each iteration."""
+
 
 @dataclass(frozen=True)
 class Termination:
