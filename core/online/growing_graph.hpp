@@ -27,10 +27,11 @@ class GrowingGraph {
     Square information;
     // At the linearization: derivatives by the steps of both nodes, the residual, and the block
     // J_to' W J_from of H.
-    Square from_jacobian, to_jacobian, joint;
+    Square from_jacobian, to_jacobian;
     Tangent residual;
     double chi2 = 0;        // at the current poses
     double neglected = 0;   // chi2 of what the linearization neglects at the current poses
+    Square joint;
   };
 
   struct Place {
@@ -156,6 +157,13 @@ class GrowingGraph {
   // Moves a node's pose to that of its linearization and its step.
   void update_pose(std::int32_t i) {
     places_[i].pose = places_[i].linearized * Group::from_tangent(step_[i].data());
+  }
+
+  // Fetches what `evaluate` needs of an edge.
+  void prefetch(std::int32_t slot) const {
+    constexpr std::size_t kLine = 64;
+    const auto* const edge = reinterpret_cast<const char*>(&edges_[slot]);
+    for (std::size_t k = 0; k < sizeof(Edge); k += kLine) __builtin_prefetch(edge + k);
   }
 
   // Brings chi2 of an edge up to date with the poses of its nodes.

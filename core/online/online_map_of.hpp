@@ -32,7 +32,9 @@ class OnlineMapOf final : public OnlineMap {
   int pose_size() const override { return kSize; }
   std::int64_t next_edge() const override { return static_cast<std::int64_t>(slot_of_.size()); }
   bool has_edge(std::int64_t number) const override {
-    return number >= 0 && number < next_edge() && slot_of_[number] != kRemoved;
+    const auto& removals = pending_.removals;
+    return number >= 0 && number < next_edge() && slot_of_[number] != kRemoved &&
+           std::find(removals.begin(), removals.end(), number) == removals.end();
   }
   std::int32_t find(std::int64_t id) const override {
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -89,6 +91,7 @@ class OnlineMapOf final : public OnlineMap {
 
  private:
   using Clock = std::chrono::steady_clock;
+  static constexpr std::size_t kAhead = 6;  // nodes or edges that are fetched before their turn
   static constexpr std::int32_t kWaiting = -2, kRemoved = -1;  // instead of the slot of an edge
 
   void apply_changes();
@@ -122,7 +125,7 @@ class OnlineMapOf final : public OnlineMap {
   PendingChanges<Group> pending_;
 
   // Nodes that have moved, and edges to be evaluated, in the current update.
-  std::vector<std::int32_t> moved_;
+  std::vector<std::int32_t> moved_, edges_;
   std::vector<std::int64_t> seen_edge_;
   std::int64_t stamp_ = 0;
   // How to undo the current update.

@@ -139,7 +139,7 @@ template <LieGroup Group>
 void OnlineMapOf<Group>::solve(double cost, StepSummary& summary) {
   // By how much the two bounds may differ from the excess that they stand for, in trials: what is
   // not passed on to other fronts matters less than its bound.
-  constexpr double kNotPassedOn = 10;
+  constexpr double kNotPassedOn = 25;
   // Motion by less than this part of the mean chi2 of an edge changes no residual much.
   constexpr double kNotEvaluated = 0.1;
   ++summary.passes;
@@ -161,24 +161,34 @@ template <LieGroup Group>
 void OnlineMapOf<Group>::evaluate() {
   seen_edge_.resize(graph_.edge_slots(), 0);
   ++stamp_;
-  for (const std::int32_t node : back_.changed()) graph_.update_pose(node);
-  moved_.insert(moved_.end(), back_.changed().begin(), back_.changed().end());
-  const auto evaluate_edges = [&](std::int32_t node) {
-    for (const std::int32_t slot : graph_.node(node).edges) {
-      if (seen_edge_[slot] == stamp_) continue;
-      seen_edge_[slot] = stamp_;
-      graph_.evaluate(slot);
+  const auto& changed = back_.changed();
+  for (std::size_t k = 0; k < changed.size(); ++k) {
+    if (k + kAhead < changed.size()) __builtin_prefetch(&graph_.place(changed[k + kAhead]));
+    graph_.update_pose(changed[k]);
+  }
+  moved_.insert(moved_.end(), changed.begin(), changed.end());
+  edges_.clear();
+  for (const auto* const nodes : {&back_.moved(), &relinearization_.chosen()}) {
+    for (std::size_t k = 0; k < nodes->size(); ++k) {
+      if (k + kAhead < nodes->size()) __builtin_prefetch(&graph_.node((*nodes)[k + kAhead]));
+      for (const std::int32_t slot : graph_.node((*nodes)[k]).edges) {
+        if (seen_edge_[slot] == stamp_) continue;
+        seen_edge_[slot] = stamp_;
+        edges_.push_back(slot);
+      }
     }
-  };
-  for (const std::int32_t node : back_.moved()) evaluate_edges(node);
-  for (const std::int32_t node : relinearization_.chosen()) evaluate_edges(node);
+  }
+  for (std::size_t k = 0; k < edges_.size(); ++k) {
+    if (k + kAhead < edges_.size()) graph_.prefetch(edges_[k + kAhead]);
+    graph_.evaluate(edges_[k]);
+  }
 }
 
 // Linearizes again and solves until the tolerance is reached.
 template <LieGroup Group>
 void OnlineMapOf<Group>::settle(Clock::time_point deadline, bool limited, StepSummary& summary) {
   constexpr std::int32_t kMostPasses = 10;
-  constexpr double kLeastTolerance = 1e-12;
+  constexpr double kLeastTolerance = 1e-18;
   // Edges that are chosen in one pass where time is limited: some tenths of a millisecond.
   constexpr std::size_t kMostChosen = 50;
   for (;;) {
