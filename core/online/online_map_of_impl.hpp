@@ -100,8 +100,8 @@ template <LieGroup Group>
 void OnlineMapOf<Group>::apply(const PendingEdge<Group>& edge) {
   const std::int32_t newer = std::max(edge.from, edge.to);
   const bool keep = given_[newer] && graph_.node(newer).edges.empty();
-  const std::int32_t freed = components_.join(graph_, edge.from, edge.to, edge.measured, keep,
-                                              moved_, root_log_);
+  const std::int32_t freed =
+      components_.join(graph_, edge.from, edge.to, edge.measured, keep, moved_, root_log_);
   if (freed >= 0) release_root(freed);
   slot_of_[edge.number] =
       graph_.add_edge(edge.number, edge.from, edge.to, edge.measured, edge.information);
@@ -214,8 +214,8 @@ void OnlineMapOf<Group>::settle(Clock::time_point deadline, bool limited, StepSu
   }
 }
 
-// Orders all nodes anew where the factor has grown much beyond that of a fresh order. The test costs
-// an order, so it is made only when the factor has grown by half since the last one.
+// Orders all nodes anew where the factor has grown much beyond that of a fresh order. The test
+// costs an order, so it is made only when the factor has grown by half since the last one.
 template <LieGroup Group>
 void OnlineMapOf<Group>::reorder_if_worthwhile(StepSummary& summary) {
   constexpr double kGrowth = 1.5;

@@ -135,7 +135,7 @@ class OnlineMap:
         """Fraction of chi2 by which that of the estimate may exceed the optimum."""
         return self._tolerance
 
-    def add_pose(self, id: int, guess: ArrayLike | None = None) -> None:
+    def add_pose(self, id: int, guess: ArrayLike | None = None) -> None:  # noqa: A002
         """Add a pose, which becomes part of the map at the next `update`.
 
         Parameters
@@ -199,7 +199,7 @@ class OnlineMap:
             If information is not symmetric positive definite.
         """
         if np.ndim(edges) == 1 and np.ndim(measurements) == 1 and np.size(edges) == 2:
-            edges, measurements = [edges], [measurements]  # type: ignore[list-item]
+            edges, measurements = np.asarray(edges)[None], np.asarray(measurements)[None]
         pairs = checks.pairs_of_ids(edges)
         m, dof = len(pairs), lie.DOF[self._dimension]
         z = checks.table("measurements", measurements)
@@ -300,7 +300,7 @@ class OnlineMap:
         """The poses after the last update, (n, 3) or (n, 7), in the order of `ids`; a copy."""
         return self._core.poses()
 
-    def pose(self, id: int) -> Floats:
+    def pose(self, id: int) -> Floats:  # noqa: A002
         """Return one pose after the last update, (3,) or (7,); an unknown id is a GraphError."""
         pose = self._core.pose(_checked_id(id))
         if pose is None:
@@ -464,11 +464,11 @@ class OnlineMap:
             ) from None
 
 
-def _checked_id(id: int) -> int:
+def _checked_id(given: int) -> int:
     try:
-        node = operator.index(id)
+        node = operator.index(given)
     except TypeError:
-        raise GraphError(f"an id must be an integer, got {id!r:.40}") from None
+        raise GraphError(f"an id must be an integer, got {given!r:.40}") from None
     if not -(2**63) <= node < 2**63:
         raise GraphError(f"an id must be an integer of 64 bits, got {node}")
     return node
