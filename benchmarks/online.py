@@ -13,6 +13,7 @@ import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from time import thread_time
+from typing import Any
 
 import numpy as np
 
@@ -137,9 +138,7 @@ def with_masat(stream: Stream, steps: int, optima: dict[int, float], tolerance: 
     return run
 
 
-def with_isam2(
-    stream: Stream, steps: int, optima: dict[int, float], skip: int, method: str
-) -> Run:
+def with_isam2(stream: Stream, steps: int, optima: dict[int, float], skip: int, method: str) -> Run:
     """Feed the stream to gtsam's ISAM2; relinearization threshold 0.1."""
     import gtsam
 
@@ -174,7 +173,9 @@ def with_isam2(
                 a, b = factor.keys()
                 known = values.atPose2 if dimension == 2 else values.atPose3
                 z = factor.measured()
-                guess.insert(node, known(a).compose(z) if b == node else known(b).compose(z.inverse()))
+                guess.insert(
+                    node, known(a).compose(z) if b == node else known(b).compose(z.inverse())
+                )
         isam.update(new, guess)
         values = isam.calculateEstimate()
         return values
@@ -193,7 +194,7 @@ def with_isam2(
     return run
 
 
-def gtsam_factors(graph: masat.PoseGraph) -> list[object]:
+def gtsam_factors(graph: masat.PoseGraph) -> list[Any]:
     """Return gtsam's factors with the cost of the edges, to first order in the residuals.
 
     gtsam has the rotation first, as a rotation vector, which is twice the quaternion's part.
@@ -228,8 +229,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, allow_abbrev=False)
     parser.add_argument("graphs", nargs="*", default=GRAPHS)
     parser.add_argument("--no-peer", action="store_true", help="leave out ISAM2")
-    parser.add_argument("--rounds", type=int, default=1, help="repetitions; the median of each time")
-    parser.add_argument("--sample", type=int, default=50, help="steps between samples of the excess")
+    parser.add_argument(
+        "--rounds", type=int, default=1, help="repetitions; the median of each time"
+    )
+    parser.add_argument(
+        "--sample", type=int, default=50, help="steps between samples of the excess"
+    )
     parser.add_argument("--steps", type=int, help="only so many steps")
     parser.add_argument("--tolerance", type=float, default=1.5e-4)
     options = parser.parse_args()
@@ -239,16 +244,12 @@ def main() -> None:
         case = CASES[name]
         stream = stream_of(case)
         steps = min(options.steps or len(stream.graph), len(stream.graph))
-        optima = {k: np.nan for k in range(options.sample, steps + 1, options.sample)}
+        optima = dict.fromkeys(range(options.sample, steps + 1, options.sample), np.nan)
         print(f"{name}, {steps} poses, {stream.begin[steps]} edges", flush=True)
-        runs = [
-            with_masat(stream, steps, optima, options.tolerance) for _ in range(options.rounds)
-        ]
+        runs = [with_masat(stream, steps, optima, options.tolerance) for _ in range(options.rounds)]
         print(_median(runs), flush=True)
         for skip, method in () if options.no_peer else _peers(name):
-            peers = [
-                with_isam2(stream, steps, optima, skip, method) for _ in range(options.rounds)
-            ]
+            peers = [with_isam2(stream, steps, optima, skip, method) for _ in range(options.rounds)]
             print(_median(peers), flush=True)
             print(_ratios(_median(peers), _median(runs)), flush=True)
 
@@ -263,7 +264,9 @@ def _ratios(peer: Run, own: Run) -> str:
     a, b = np.array(peer.times), np.array(own.times[: len(peer.times)])
     figures = (a.sum() / b.sum(), np.median(a) / np.median(b))
     tails = (np.percentile(a, 99) / np.percentile(b, 99), a.max() / b.max())
-    return f"  {'ISAM2 / masat':<28}{figures[0]:9.1f}{figures[1]:9.1f}{tails[0]:8.1f}{tails[1]:8.1f}"
+    return (
+        f"  {'ISAM2 / masat':<28}{figures[0]:9.1f}{figures[1]:9.1f}{tails[0]:8.1f}{tails[1]:8.1f}"
+    )
 
 
 if __name__ == "__main__":

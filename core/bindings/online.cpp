@@ -117,9 +117,8 @@ void fill(OnlineMap& map, const Vector<std::int64_t>& ids, const Table<double>& 
               information.size() == m * d * d,
           "contents of a map");
   map.fill({copied<std::int64_t>(ids), copied<double>(poses), copied<double>(linearized),
-            copied<std::int32_t>(roots), copied<std::int64_t>(numbers),
-            copied<std::int64_t>(edges), copied<double>(measurements),
-            copied<double>(information), next_edge});
+            copied<std::int32_t>(roots), copied<std::int64_t>(numbers), copied<std::int64_t>(edges),
+            copied<double>(measurements), copied<double>(information), next_edge});
 }
 
 }  // namespace
@@ -135,7 +134,7 @@ void bind_online(nb::module_& m) {
   });
   nb::class_<OnlineMap>(m, "OnlineMap")
       .def(nb::new_(&make_online_map), "dimension"_a, "tolerance"_a)
-      .def("add_node", &add_node, "id"_a, "pose"_a = nb::none())
+      .def("add_node", &add_node, "node"_a, "pose"_a = nb::none())
       .def("add_edges", &add_edges, "edges"_a, "measurements"_a, "information"_a)
       .def(
           "remove_edges",
@@ -144,12 +143,12 @@ void bind_online(nb::module_& m) {
           },
           "numbers"_a)
       .def("next_edge", &OnlineMap::next_edge)
-      .def("find", &OnlineMap::find, "id"_a)
+      .def("find", &OnlineMap::find, "node"_a)
       .def("update", &update, "budget"_a)
       .def("nodes", &OnlineMap::nodes)
       .def("chi2", &OnlineMap::chi2)
       .def("poses", &poses_of)
-      .def("pose", &pose_of, "id"_a)
+      .def("pose", &pose_of, "node"_a)
       .def("edges", &OnlineMap::edges)
       .def("bytes_of_factor", &OnlineMap::bytes_of_factor)
       .def("fill_of_factor", &OnlineMap::fill_of_factor)

@@ -30,8 +30,8 @@ class Components {
     if (from_root == to_root) return -1;
     const bool to_moves = from_root < to_root;
     const std::int32_t end = to_moves ? to : from, freed = std::max(from_root, to_root);
-    const Group target = to_moves ? graph.place(from).pose * measured
-                                  : graph.place(to).pose * measured.inverse();
+    const Group target =
+        to_moves ? graph.place(from).pose * measured : graph.place(to).pose * measured.inverse();
     const Group motion = target * graph.place(end).pose.inverse();
     collect(graph, end);
     for (const std::int32_t i : part_) {

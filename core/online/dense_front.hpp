@@ -9,8 +9,8 @@
 namespace masat {
 
 // Factorizes the pivots of an assembled front. Returns -1, or the pivot that failed.
-inline std::int32_t eliminate_pivots(const Kernels& kernels, const Front& front,
-                                     double* reciprocal, const double* floor) {
+inline std::int32_t eliminate_pivots(const Kernels& kernels, const Front& front, double* reciprocal,
+                                     const double* floor) {
   for (std::int32_t begin = 0; begin < front.pivots; begin += Kernels::kPanel) {
     const std::int32_t failed = kernels.factor_diagonal(front, begin, reciprocal, floor);
     if (failed >= 0) return failed;

@@ -37,13 +37,13 @@ class GrowingFactor {
   using Graph = GrowingGraph<Group>;
 
   struct OwnFront {
-    Front dense;              // the factor; its own contribution block is packed
-    double* reciprocal;       // of the pivots' square roots
-    double* solved;           // L^-1 of the right-hand side, at the pivots
-    double* below;            // what the front and its descendants add to that of the rows
-    double* contribution;     // what they subtract from the matrix of the rows, packed
+    Front dense;           // the factor; its own contribution block is packed
+    double* reciprocal;    // of the pivots' square roots
+    double* solved;        // L^-1 of the right-hand side, at the pivots
+    double* below;         // what the front and its descendants add to that of the rows
+    double* contribution;  // what they subtract from the matrix of the rows, packed
     AlignedBuffer memory;
-    std::int64_t doubles = 0;  // of the memory
+    std::int64_t doubles = 0;              // of the memory
     std::int32_t pivots = 0, parent = -1;  // pivots in nodes; 0 if the front is not in use
     std::int64_t made = 0;                 // the elimination that made it
     std::vector<std::int32_t> nodes;       // pivots, then rows

@@ -249,8 +249,8 @@ void GrowingFactor<Group>::add_children(OwnFront& front, bool to_pivots) {
     const Front& dense = front.dense;
     if (ascending) {
       kernels_->extend_add(dense, child.contribution, child.dense.rows - 1, true, runs_.data(),
-                          static_cast<std::int64_t>(runs_.size()), to_pivots ? 0 : dense.pivots,
-                          to_pivots ? dense.pivots : dense.pivots + dense.rows);
+                           static_cast<std::int64_t>(runs_.size()), to_pivots ? 0 : dense.pivots,
+                           to_pivots ? dense.pivots : dense.pivots + dense.rows);
     } else {
       add_child_in_any_order<kDof>(dense, child.contribution, slots_.data(),
                                    static_cast<std::int32_t>(slots_.size()), to_pivots);

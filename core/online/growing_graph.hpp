@@ -29,8 +29,8 @@ class GrowingGraph {
     // J_to' W J_from of H.
     Square from_jacobian, to_jacobian;
     Tangent residual;
-    double chi2 = 0;        // at the current poses
-    double neglected = 0;   // chi2 of what the linearization neglects at the current poses
+    double chi2 = 0;       // at the current poses
+    double neglected = 0;  // chi2 of what the linearization neglects at the current poses
     Square joint;
   };
 
@@ -41,7 +41,7 @@ class GrowingGraph {
   struct Node {
     Square diagonal;  // blocks of H and of the right-hand side
     Tangent rhs;
-    double damping = 0;  // a fraction of the diagonal of H that is added to it
+    double damping = 0;      // a fraction of the diagonal of H that is added to it
     std::int32_t root = -1;  // the fixed node of the component
     bool stale = false;      // the blocks are to be computed
     std::vector<std::int32_t> edges;
@@ -59,7 +59,9 @@ class GrowingGraph {
   Tangent& step(std::int32_t i) { return step_[i]; }
   const Tangent& step(std::int32_t i) const { return step_[i]; }
   bool is_free(std::int32_t i) const { return nodes_[i].root != i; }
-  std::int32_t other_end(const Edge& e, std::int32_t i) const { return e.from == i ? e.to : e.from; }
+  std::int32_t other_end(const Edge& e, std::int32_t i) const {
+    return e.from == i ? e.to : e.from;
+  }
 
   // The sums over all edges.
   double chi2() const { return chi2_; }

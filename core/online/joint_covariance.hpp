@@ -61,7 +61,7 @@ class JointCovariance {
       for (int c = 0; c < kDof; ++c) {
         std::fill(x, x + dense.ld11, 0.0);
         for (std::int32_t k = 0; k < front.pivots; ++k) {
-          Eigen::Map<typename Group::Tangent>{x + std::int64_t{k} * kDof} =
+          Eigen::Map<typename Group::Tangent>{x + std::int64_t{k}* kDof} =
               carried_[front.nodes[k]].col(c);
         }
         kernels_->forward(dense, front.reciprocal, x, y);

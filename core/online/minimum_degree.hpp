@@ -53,7 +53,8 @@ class MinimumDegree {
   std::vector<std::int32_t> members_;  // of the elements
   std::vector<std::int64_t> element_begin_;
   std::vector<std::int32_t> element_size_, absorbed_by_;
-  std::vector<std::int64_t> outside_;  // members of an element that the current pivot is not joined to
+  std::vector<std::int64_t>
+      outside_;  // members of an element that the current pivot is not joined to
   std::vector<std::int32_t> pairs_, list_, covered_;
   std::vector<Variable> variable_;
   std::vector<std::int64_t> mark_;

@@ -49,7 +49,8 @@ class OnlineMap {
   virtual bool remove_edges(std::span<const std::int64_t> numbers) = 0;
   virtual bool has_edge(std::int64_t number) const = 0;
   virtual std::int64_t next_edge() const = 0;  // the number of the next edge that is added
-  virtual std::int32_t find(std::int64_t id) const = 0;  // the index of a node, waiting or not; or -1
+  virtual std::int32_t find(
+      std::int64_t id) const = 0;  // the index of a node, waiting or not; or -1
 
   // Applies what waits and solves. After `budget` seconds no further nodes are linearized again;
   // the next update goes on. Throws Undetermined, and forgets what waited.

@@ -120,8 +120,8 @@ class OnlineMapOf final : public OnlineMap {
 
   std::unordered_map<std::int64_t, std::int32_t> index_;
   std::vector<std::int64_t> ids_;
-  std::vector<char> given_;             // nodes whose pose the caller gave
-  std::vector<std::int32_t> slot_of_;   // of each edge by its number
+  std::vector<char> given_;            // nodes whose pose the caller gave
+  std::vector<std::int32_t> slot_of_;  // of each edge by its number
   PendingChanges<Group> pending_;
 
   // Nodes that have moved, and edges to be evaluated, in the current update.
@@ -145,5 +145,5 @@ class OnlineMapOf final : public OnlineMap {
 
 }  // namespace masat
 
-#include "online/online_map_of_impl.hpp"
 #include "online/online_map_of_contents.hpp"
+#include "online/online_map_of_impl.hpp"

@@ -100,8 +100,8 @@ template <LieGroup Group>
 void OnlineMapOf<Group>::apply(const PendingEdge<Group>& edge) {
   const std::int32_t newer = std::max(edge.from, edge.to);
   const bool keep = given_[newer] && graph_.node(newer).edges.empty();
-  const std::int32_t freed = components_.join(graph_, edge.from, edge.to, edge.measured, keep,
-                                              moved_, root_log_);
+  const std::int32_t freed =
+      components_.join(graph_, edge.from, edge.to, edge.measured, keep, moved_, root_log_);
   if (freed >= 0) release_root(freed);
   slot_of_[edge.number] =
       graph_.add_edge(edge.number, edge.from, edge.to, edge.measured, edge.information);
@@ -191,18 +191,26 @@ void OnlineMapOf<Group>::settle(Clock::time_point deadline, bool limited, StepSu
   constexpr double kLeastTolerance = 1e-18;
   // Edges that are chosen in one pass where time is limited: some tenths of a millisecond.
   constexpr std::size_t kMostChosen = 50;
+  bool retried = false;
   for (;;) {
     const double cost = reference(graph_.chi2());
     // If one pass was not enough, the next one goes further, so that few are needed.
     relinearization_.choose(graph_, std::max(tolerance_, kLeastTolerance) * cost,
                             summary.passes < 3 ? 0.1 : 0.01,
                             limited ? kMostChosen : std::numeric_limits<std::size_t>::max());
-    for (const std::int32_t node : factor_.damped()) relinearization_.add(graph_, node);
-    if (relinearization_.chosen().empty()) return;
+    // At a pose of their own, damped nodes may do without the damping.
+    if (!retried) {
+      for (const std::int32_t node : factor_.damped()) relinearization_.add(graph_, node);
+    }
+    if (relinearization_.chosen().empty()) {
+      summary.complete = factor_.damped().empty();
+      return factor_.forget_damped();
+    }
     if (summary.passes >= kMostPasses || Clock::now() > deadline) {
       summary.complete = false;
       return;
     }
+    retried |= !factor_.damped().empty();
     factor_.forget_damped();
     relinearization_.apply(graph_, factor_);
     summary.relinearized += static_cast<std::int64_t>(relinearization_.chosen().size());
@@ -214,8 +222,8 @@ void OnlineMapOf<Group>::settle(Clock::time_point deadline, bool limited, StepSu
   }
 }
 
-// Orders all nodes anew where the factor has grown much beyond that of a fresh order. The test costs
-// an order, so it is made only when the factor has grown by half since the last one.
+// Orders all nodes anew where the factor has grown much beyond that of a fresh order. The test
+// costs an order, so it is made only when the factor has grown by half since the last one.
 template <LieGroup Group>
 void OnlineMapOf<Group>::reorder_if_worthwhile(StepSummary& summary) {
   constexpr double kGrowth = 1.5;

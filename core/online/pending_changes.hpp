@@ -49,7 +49,8 @@ bool is_plain_pose(const double* pose) {
 template <LieGroup Group>
 bool is_plain_information(const double* matrix) {
   const Eigen::Map<const typename Group::Square> m(matrix);
-  return m.allFinite() && m == m.transpose() && not_positive_definite<Group::kDof>(matrix, 1).empty();
+  return m.allFinite() && m == m.transpose() &&
+         not_positive_definite<Group::kDof>(matrix, 1).empty();
 }
 
 }  // namespace masat

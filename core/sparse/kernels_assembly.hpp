@@ -38,8 +38,8 @@ void extend_add(const Front& front, const double* child, std::int64_t ld_child, 
     for (; c < c_end; ++c) {
       const std::int32_t column = run->target + c;
       const std::int64_t from_column = run->source + c;
-      const double* const from = child + from_column * ld_child -
-                                 (packed ? from_column * (from_column - 1) / 2 : 0);
+      const double* const from =
+          child + from_column * ld_child - (packed ? from_column * (from_column - 1) / 2 : 0);
       double* top = nullptr;
       double* bottom;
       if (column < front.pivots) {
