@@ -191,18 +191,26 @@ void OnlineMapOf<Group>::settle(Clock::time_point deadline, bool limited, StepSu
   constexpr double kLeastTolerance = 1e-18;
   // Edges that are chosen in one pass where time is limited: some tenths of a millisecond.
   constexpr std::size_t kMostChosen = 50;
+  bool retried = false;
   for (;;) {
     const double cost = reference(graph_.chi2());
     // If one pass was not enough, the next one goes further, so that few are needed.
     relinearization_.choose(graph_, std::max(tolerance_, kLeastTolerance) * cost,
                             summary.passes < 3 ? 0.1 : 0.01,
                             limited ? kMostChosen : std::numeric_limits<std::size_t>::max());
-    for (const std::int32_t node : factor_.damped()) relinearization_.add(graph_, node);
-    if (relinearization_.chosen().empty()) return;
+    // At a pose of their own, damped nodes may do without the damping.
+    if (!retried) {
+      for (const std::int32_t node : factor_.damped()) relinearization_.add(graph_, node);
+    }
+    if (relinearization_.chosen().empty()) {
+      summary.complete = factor_.damped().empty();
+      return factor_.forget_damped();
+    }
     if (summary.passes >= kMostPasses || Clock::now() > deadline) {
       summary.complete = false;
       return;
     }
+    retried |= !factor_.damped().empty();
     factor_.forget_damped();
     relinearization_.apply(graph_, factor_);
     summary.relinearized += static_cast<std::int64_t>(relinearization_.chosen().size());

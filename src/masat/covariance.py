@@ -157,7 +157,7 @@ def relative_covariances(
 
 
 def relative_from_blocks(of_a: Floats, of_b: Floats, joint: Floats, a: Floats, b: Floats) -> Floats:
-    """Return covariances of a^-1 b, (k, d, d), from those of a and b and their joint ones."""
+    """Return covariances of a^-1 b, (k, d, d), from blocks of the joint one at the poses."""
     turn = change_of_frame(lie.between(b, a))
     # The derivatives are (turn, 1); summed in halves, so that the result is exactly symmetric.
     half = of_b / 2 + turn @ (of_a @ _transposed(turn) / 2 + joint)

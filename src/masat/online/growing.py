@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 import os
 import threading
 from collections.abc import Iterator
@@ -17,9 +16,9 @@ from masat import _checks as checks
 from masat import _core, lie
 from masat.arrays import Floats, Ids, Indices
 from masat.covariance import relative_from_blocks
-from masat.errors import GraphError, InformationError, OptimizationError
+from masat.errors import GraphError, OptimizationError
 from masat.graph import PoseGraph
-from masat.information import indefinite
+from masat.online.additions import are_plain, checked_edges, checked_guess, checked_id
 from masat.online.files import read_map, write_map
 from masat.optimizers import Result, optimize
 
@@ -135,12 +134,12 @@ class OnlineMap:
         """Fraction of chi2 by which that of the estimate may exceed the optimum."""
         return self._tolerance
 
-    def add_pose(self, id: int, guess: ArrayLike | None = None) -> None:  # noqa: A002
+    def add_pose(self, node: int, guess: ArrayLike | None = None) -> None:
         """Add a pose, which becomes part of the map at the next `update`.
 
         Parameters
         ----------
-        id : int
+        node : int
             Its id, any integer of 64 bits that no pose has yet.
         guess : array_like, (3,) or (7,), optional
             Where it is, approximately. Default: its first edge places it. A pose that is the first
@@ -152,16 +151,8 @@ class OnlineMap:
             If the id is taken or is no integer, or if the guess is no pose. The map is unchanged.
         """
         with self._writing:
-            node = _checked_id(id)
-            pose = None
-            if guess is not None:
-                row = checks.numbers("the guess", guess)
-                if row.shape != (lie.POSE_SIZE[self._dimension],):
-                    raise GraphError(
-                        f"the guess of node {node} must have "
-                        f"{lie.POSE_SIZE[self._dimension]} numbers, got shape {row.shape}"
-                    )
-                pose = checks.rotations(row[None].copy(), "guess", np.array([node]), "node")[0]
+            node = checked_id(node)
+            pose = None if guess is None else checked_guess(guess, node, self._dimension)
             if not self._core.add_node(node, pose):
                 raise GraphError(f"the map has a node {node} already")
 
@@ -198,47 +189,18 @@ class OnlineMap:
         InformationError
             If information is not symmetric positive definite.
         """
-        if np.ndim(edges) == 1 and np.ndim(measurements) == 1 and np.size(edges) == 2:
-            edges, measurements = np.asarray(edges)[None], np.asarray(measurements)[None]
-        pairs = checks.pairs_of_ids(edges)
-        m, dof = len(pairs), lie.DOF[self._dimension]
-        z = checks.table("measurements", measurements)
-        if z.shape != (m, lie.POSE_SIZE[self._dimension]) and m > 0:
-            raise GraphError(
-                f"measurements must have shape ({m}, {lie.POSE_SIZE[self._dimension]}), "
-                f"got {z.shape}"
-            )
-        if m == 0:
-            return np.empty(0, np.int64)
-        w = None if information is None else checks.numbers("information", information)
         with self._writing:
             first = self._core.next_edge()
-            if w is None or w.shape != (m, dof, dof):
-                w = checks.information_matrices(w, pairs, dof)
-            if not self._core.add_edges(pairs, z, np.ascontiguousarray(w)):
-                self._add_after_checks(pairs, z, w)
-            return np.arange(first, first + m)
-
-    def _add_after_checks(self, pairs: Ids, z: Floats, w: Floats) -> None:
-        """Add edges that need a repair within rounding, or say what is wrong with them."""
-        for k in np.argwhere([[self._core.find(int(i)) < 0 for i in pair] for pair in pairs])[:1]:
-            raise GraphError(
-                f"{checks.edge_name(pairs, k[0])} names node {pairs[k[0], k[1]]}, which has not "
-                "been added: add it with add_pose",
-                edge=int(k[0]),
-            )
-        checks.no_loops(pairs)
-        z = checks.rotations(z, "measurement", pairs, "edge")
-        w = checks.information_matrices(w, pairs, w.shape[1])
-        for edge in indefinite(w)[:1]:
-            raise InformationError(
-                f"the information of {checks.edge_name(pairs, int(edge))} leaves a direction "
-                "undetermined: an online map needs positive definite information",
-                edge=int(edge),
-                count=len(indefinite(w)),
-            )
-        if not self._core.add_edges(pairs, z, w):
-            raise GraphError("the edges cannot be added")
+            if not (
+                are_plain(edges, measurements, information, self._dimension)
+                and self._core.add_edges(edges, measurements, information)  # type: ignore[arg-type]
+            ):
+                checked = checked_edges(
+                    self._core, edges, measurements, information, self._dimension
+                )
+                if not self._core.add_edges(*checked):
+                    raise GraphError("the edges cannot be added: their numbers are too large")
+            return np.arange(first, self._core.next_edge())
 
     def remove_edges(self, numbers: int | ArrayLike) -> None:
         """Remove edges at the next `update`; nodes that lose all their edges remain.
@@ -287,8 +249,14 @@ class OnlineMap:
             If the edges do not determine a pose, up to rounding. What was added and removed since
             the last update is forgotten then, and the map is as before.
         """
-        with self._writing, self._errors("what was added since the last update is forgotten"):
-            return Update(*self._core.update(_NO_BUDGET if budget is None else float(budget)))
+        with self._writing:
+            with self._errors("what was added since the last update is forgotten"):
+                done = Update(*self._core.update(_NO_BUDGET if budget is None else float(budget)))
+            if done.complete or budget is not None:
+                return done
+            # Gauss-Newton, which all this is, does not converge from everywhere.
+            result = self._to_optimum()
+            return done._replace(chi2=result.chi2, complete=result.converged)
 
     @property
     def ids(self) -> Ids:
@@ -300,11 +268,11 @@ class OnlineMap:
         """The poses after the last update, (n, 3) or (n, 7), in the order of `ids`; a copy."""
         return self._core.poses()
 
-    def pose(self, id: int) -> Floats:  # noqa: A002
+    def pose(self, node: int) -> Floats:
         """Return one pose after the last update, (3,) or (7,); an unknown id is a GraphError."""
-        pose = self._core.pose(_checked_id(id))
+        pose = self._core.pose(checked_id(node))
         if pose is None:
-            raise GraphError(f"the map has no node {id}")
+            raise GraphError(f"the map has no node {node}")
         return pose
 
     @property
@@ -411,11 +379,15 @@ class OnlineMap:
         """
         with self._writing:
             self.update()
-            result = optimize(self.graph(), relative_tolerance=_OPTIMUM)
-            poses = result.poses[result.graph.index(self.ids)]
-            with self._errors("its poses are as before"):
-                self._core.set_poses(poses)
-            return result
+            return self._to_optimum()
+
+    def _to_optimum(self) -> Result:
+        """Optimize the graph, and move the map to its poses."""
+        result = optimize(self.graph(), relative_tolerance=_OPTIMUM)
+        poses = result.poses[result.graph.index(self.ids)]
+        with self._errors("the poses are as before"):
+            self._core.set_poses(poses)
+        return result
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the map after the last update to an .npz file, whole or not at all."""
@@ -462,13 +434,3 @@ class OnlineMap:
                 f"the edges around node {error.args[0]} do not determine its pose, up to rounding: "
                 f"{what_holds}; look for information that is nearly singular, and for huge numbers"
             ) from None
-
-
-def _checked_id(given: int) -> int:
-    try:
-        node = operator.index(given)
-    except TypeError:
-        raise GraphError(f"an id must be an integer, got {given!r:.40}") from None
-    if not -(2**63) <= node < 2**63:
-        raise GraphError(f"an id must be an integer of 64 bits, got {node}")
-    return node

@@ -1,0 +1,110 @@
+"""The checks of what is added to a map that grows; each failure is one error of the package."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from masat import _checks as checks
+from masat import _core, lie
+from masat.arrays import Floats, Ids
+from masat.errors import GraphError, InformationError
+from masat.information import indefinite
+
+
+def checked_id(node: Any) -> int:
+    """Return an id as an integer of 64 bits."""
+    try:
+        out = operator.index(node)
+    except TypeError:
+        raise GraphError(f"an id must be an integer, got {node!r:.40}") from None
+    if not -(2**63) <= out < 2**63:
+        raise GraphError(f"an id must be an integer of 64 bits, got {out}")
+    return out
+
+
+def checked_guess(guess: ArrayLike, node: int, dimension: int) -> Floats:
+    """Return a pose for a node."""
+    row, size = checks.numbers("the guess", guess), lie.POSE_SIZE[dimension]
+    if row.shape != (size,):
+        raise GraphError(
+            f"the guess of node {node} must have {size} numbers, got shape {row.shape}"
+        )
+    pose: Floats = checks.rotations(row[None].copy(), "guess", np.array([node]), "node")[0]
+    return pose
+
+
+def are_plain(edges: Any, measurements: Any, information: Any, dimension: int) -> bool:
+    """Tell whether edges are arrays that the core can take as they are, if their numbers are valid.
+
+    A front end that adds few edges at a time would spend most of its time on the checks otherwise.
+    """
+    if not (type(edges) is type(measurements) is type(information) is np.ndarray):
+        return False
+    if edges.ndim != 2 or edges.dtype != np.int64:
+        return False
+    m, dof = len(edges), lie.DOF[dimension]
+    return (
+        edges.shape[1] == 2
+        and measurements.dtype == information.dtype == np.float64
+        and measurements.shape == (m, lie.POSE_SIZE[dimension])
+        and information.shape == (m, dof, dof)
+        and edges.flags.c_contiguous
+        and measurements.flags.c_contiguous
+        and information.flags.c_contiguous
+    )
+
+
+def checked_edges(
+    core: _core.OnlineMap,
+    edges: Any,
+    measurements: Any,
+    information: ArrayLike | None,
+    dimension: int,
+) -> tuple[Ids, Floats, Floats]:
+    """Return edges as arrays that the core takes.
+
+    Parameters
+    ----------
+    core : OnlineMap
+        The map, which knows the ids.
+    edges, measurements, information
+        As in `OnlineMap.add_edges`.
+    dimension : int
+        2 or 3.
+
+    Raises
+    ------
+    GraphError, InformationError
+        As `OnlineMap.add_edges`.
+    """
+    if np.ndim(edges) == 1 and np.ndim(measurements) == 1 and np.size(edges) == 2:
+        edges, measurements = [edges], [measurements]
+    pairs, size = checks.pairs_of_ids(edges), lie.POSE_SIZE[dimension]
+    z = checks.table("measurements", measurements)
+    if len(pairs) == 0 and z.size == 0:
+        z = z.reshape(0, size)
+    if z.shape != (len(pairs), size):
+        raise GraphError(f"measurements must have shape ({len(pairs)}, {size}), got {z.shape}")
+    for k, end in np.argwhere([[core.find(int(i)) < 0 for i in pair] for pair in pairs])[:1]:
+        raise GraphError(
+            f"{checks.edge_name(pairs, k)} names node {pairs[k, end]}, which has not been added: "
+            "add it with add_pose",
+            edge=int(k),
+        )
+    checks.no_loops(pairs)
+    z = checks.rotations(z, "measurement", pairs, "edge")
+    w = checks.information_matrices(information, pairs, lie.DOF[dimension])
+    bad = indefinite(w)
+    if len(bad):
+        raise InformationError(
+            f"the information of {len(bad)} of {len(w)} edges leaves a direction undetermined, "
+            f"first of {checks.edge_name(pairs, int(bad[0]))}: an online map needs positive "
+            "definite information",
+            edge=int(bad[0]),
+            count=len(bad),
+        )
+    return pairs, z, w
