@@ -1,3 +1,5 @@
+import threading
+
 import numpy as np
 import pytest
 from random_graphs import random_graph, random_poses
@@ -414,3 +416,35 @@ def test_public_graph_as_a_stream(data_dir):
     feed(world, graph)
     assert world.chi2 == pytest.approx(45.00469581, rel=1e-3)
     assert world.optimize().chi2 == pytest.approx(45.00469581, rel=1e-8)
+
+
+def test_readers_on_the_threads_beside_see_complete_states():
+    world, done, seen = OnlineMap(2), threading.Event(), []
+
+    def read():
+        counts = []
+        while not done.is_set():
+            poses = world.poses
+            assert np.isfinite(poses).all()
+            # An exact chain has these poses whenever it is read.
+            assert np.allclose(poses[:, 0], np.arange(len(poses)), atol=1e-9)
+            counts.append(len(poses))
+            if len(poses):
+                assert np.allclose(world.pose(0), 0)
+        seen.append(counts)
+
+    readers = [threading.Thread(target=read) for _ in range(3)]
+    for reader in readers:
+        reader.start()
+    try:
+        for k in range(150):
+            world.add_pose(k)
+            if k > 0:
+                world.add_edges((k - 1, k), (1, 0, 0))
+            world.update()
+    finally:
+        done.set()
+        for reader in readers:
+            reader.join()
+    assert len(seen) == 3
+    assert all(counts == sorted(counts) for counts in seen)
