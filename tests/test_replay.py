@@ -67,6 +67,13 @@ def test_the_command_says_how_long_steps_take(graph, run, tmp_path):
         assert words in out
 
 
+def test_a_graph_without_noise_is_not_compared_with_rounding(run, tmp_path):
+    masat.write(worlds.manhattan(30, 40, seed=1), tmp_path / "in.g2o")
+    code, out, _ = run("replay", "in.g2o")
+    assert code == 0
+    assert "there up to rounding" in out
+
+
 def test_a_film_of_another_kind_is_refused_before_the_work_begins(graph, run, tmp_path):
     masat.write(graph, tmp_path / "in.g2o")
     code, _, err = run("replay", "in.g2o", "--film", "film.avi")

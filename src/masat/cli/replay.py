@@ -15,6 +15,8 @@ from masat.formats import format_of, write
 from masat.online.growing import OnlineMap
 
 _MAX_FRAMES = 150
+# chi2 of an edge below which measurements have no noise: nothing is to be compared then.
+_NO_NOISE = 1e-12
 
 
 @click.command(epilog="Example:  masat replay M3500.g2o --film growing.gif")
@@ -85,7 +87,8 @@ def replay(
         from masat.plotting.film import write_film
 
         write_film(frames, film)
-    excess = chi2 / optimum.chi2 - 1 if optimum.chi2 > 0 else 0.0
+    exact = optimum.chi2 <= _NO_NOISE * len(graph.edges)
+    excess = None if exact else chi2 / optimum.chi2 - 1
     milliseconds = 1e3 * run.seconds
     if as_json:
         show.as_json(
@@ -118,7 +121,7 @@ def replay(
                 (
                     "optimum",
                     f"{optimum.chi2:.6g}, reached in {show.duration(batch_seconds)}; the map was "
-                    f"{excess:.1e} above it",
+                    + ("there up to rounding" if excess is None else f"{excess:.1e} above it"),
                 ),
                 ("written", ", ".join(written) or "nothing: name a file with -o"),
             ]
