@@ -214,6 +214,33 @@ def test_a_guess_is_kept_until_the_edges_say_otherwise():
     assert np.allclose(world.poses, [(5, 5, 0), (6, 5, 0)])
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_the_factor_stays_about_as_small_as_that_of_a_fresh_order(dimension):
+    graph = random_graph(dimension, 400, 40, 12, noise=0.02)
+    world = OnlineMap(dimension)
+    feed(world, graph)
+    fresh = graph.elimination.fill(graph.dof)
+    assert world._core.fill_of_factor() < 2 * fresh
+    assert world._core.bytes_of_factor() < 8 * 8 * fresh
+
+
+def test_a_large_closure_is_solved_to_the_end():
+    """A loop that dead reckoning leaves open by more than its own size."""
+    world = OnlineMap(2)
+    count = 60
+    for k in range(count):
+        world.add_pose(k)
+        if k > 0:
+            world.add_edges((k - 1, k), (1, 0, 2 * np.pi / count + 0.03))
+        world.update()
+    world.add_edges((count - 1, 0), (1, 0, 2 * np.pi / count + 0.03))
+    done = world.update()
+    assert done.complete
+    assert world.chi2 == pytest.approx(batch(world.graph()).chi2, rel=1e-3)
+    # All edges turn by as much too far.
+    assert world.chi2 < count * 0.03**2 * 1.01
+
+
 def test_huge_ids():
     world = OnlineMap(2)
     ids = [2**63 - 1, -(2**63), 0, 10**15]

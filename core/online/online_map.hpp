@@ -58,7 +58,7 @@ class OnlineMap {
 
   // Moves all nodes to other poses, and linearizes there. Throws Undetermined.
   virtual void set_poses(const double* poses) = 0;
-  // The sum over the edges at the current poses; what `update` tells may be off by the tolerance.
+  // The sum over the edges at the current poses; what `update` tells is approximate.
   virtual double exact_chi2() const = 0;
   // Blocks of the joint covariance of the steps from the linearization, by indices of nodes; each
   // row-major, zero for fixed nodes.

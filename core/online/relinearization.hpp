@@ -13,8 +13,7 @@ namespace masat {
 
 // The linearization of an edge at the poses x + d neglects r = e(x + d) - e(x) - J d. To first
 // order the sum of r' W r bounds by how much chi2 is above its minimum, since the solution is that
-// of a problem whose residuals differ by r. Only relative motion counts: what moves as a whole by
-// any way, without a turn, keeps its linearization.
+// of a problem whose residuals differ by r. What moves as a whole without turning neglects nothing.
 template <LieGroup Group>
 class Relinearization {
  public:
@@ -66,8 +65,11 @@ class Relinearization {
       const std::size_t begin = done;
       for (; done < chosen_.size(); ++done) graph.move_linearization(chosen_[done]);
       const std::size_t end = done;
+      ++edge_stamp_;
       for (std::size_t k = begin; k < end; ++k) {
         for (const std::int32_t slot : graph.node(chosen_[k]).edges) {
+          if (seen_edge_[slot] == edge_stamp_) continue;
+          seen_edge_[slot] = edge_stamp_;
           graph.linearize(slot);
           graph.evaluate(slot);
           const auto& e = graph.edge(slot);
@@ -83,11 +85,12 @@ class Relinearization {
 
   // The same where all neighbors are dropped already.
   void apply_to_dropped(Graph& graph) {
+    ++edge_stamp_;
     for (const std::int32_t node : chosen_) graph.move_linearization(node);
     for (const std::int32_t node : chosen_) {
       for (const std::int32_t slot : graph.node(node).edges) {
-        if (seen_edge_[slot] == stamp_) continue;
-        seen_edge_[slot] = stamp_;
+        if (seen_edge_[slot] == edge_stamp_) continue;
+        seen_edge_[slot] = edge_stamp_;
         graph.linearize(slot);
       }
     }
@@ -120,7 +123,7 @@ class Relinearization {
   std::vector<std::int32_t> chosen_;
   std::vector<std::pair<double, std::int32_t>> candidates_;
   std::vector<std::int64_t> seen_node_, seen_edge_;
-  std::int64_t stamp_ = 0;
+  std::int64_t stamp_ = 0, edge_stamp_ = 0;
   double least_ = 0;  // what an edge may neglect, of the last choice
 };
 

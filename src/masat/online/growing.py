@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -36,7 +34,8 @@ class Update(NamedTuple):
     Attributes
     ----------
     chi2 : float
-        Sum over the edges of e' W e after it, to about the tolerance of the map.
+        Sum over the edges of e' W e after it, approximately: edges whose poses hardly moved are not
+        evaluated again. `OnlineMap.chi2` is exact.
     refactored : int
         Nodes that were eliminated again.
     relinearized : int
@@ -250,8 +249,12 @@ class OnlineMap:
             the last update is forgotten then, and the map is as before.
         """
         with self._writing:
-            with self._errors("what was added since the last update is forgotten"):
+            try:
                 done = Update(*self._core.update(_NO_BUDGET if budget is None else float(budget)))
+            except _core.UndeterminedError as error:
+                raise _undetermined(
+                    error, "what was added since the last update is forgotten"
+                ) from None
             if done.complete or budget is not None:
                 return done
             # Gauss-Newton, which all this is, does not converge from everywhere.
@@ -385,8 +388,10 @@ class OnlineMap:
         """Optimize the graph, and move the map to its poses."""
         result = optimize(self.graph(), relative_tolerance=_OPTIMUM)
         poses = result.poses[result.graph.index(self.ids)]
-        with self._errors("the poses are as before"):
+        try:
             self._core.set_poses(poses)
+        except _core.UndeterminedError as error:
+            raise _undetermined(error, "the poses are as before") from None
         return result
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -406,8 +411,10 @@ class OnlineMap:
         """
         dimension, tolerance, contents = read_map(Path(path))
         out = cls(dimension, tolerance=tolerance)
-        with out._errors("the file cannot be used"):
+        try:
             out._core.fill(**contents)
+        except _core.UndeterminedError as error:
+            raise _undetermined(error, "the file cannot be used") from None
         return out
 
     def _indices(self, ids: ArrayLike, ndim: int) -> Indices:
@@ -425,12 +432,9 @@ class OnlineMap:
             raise GraphError(f"the map has no node {unknown}")
         return indices
 
-    @contextmanager
-    def _errors(self, what_holds: str) -> Iterator[None]:
-        try:
-            yield
-        except _core.UndeterminedError as error:
-            raise OptimizationError(
-                f"the edges around node {error.args[0]} do not determine its pose, up to rounding: "
-                f"{what_holds}; look for information that is nearly singular, and for huge numbers"
-            ) from None
+
+def _undetermined(error: Exception, outcome: str) -> OptimizationError:
+    return OptimizationError(
+        f"the edges around node {error.args[0]} do not determine its pose, up to rounding: "
+        f"{outcome}; look for information that is nearly singular, and for huge numbers"
+    )
