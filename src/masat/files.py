@@ -5,7 +5,20 @@ from __future__ import annotations
 import errno
 import os
 import secrets
+import zipfile
+import zlib
 from pathlib import Path
+
+DAMAGED = (
+    KeyError,
+    TypeError,
+    ValueError,
+    EOFError,
+    NotImplementedError,
+    zlib.error,
+    zipfile.BadZipFile,
+)
+"""What NumPy raises where an .npz file is damaged."""
 
 
 def write_atomically(path: Path, data: bytes) -> None:

@@ -13,6 +13,10 @@ from masat.covariance import change_of_frame, relative_covariances
 from masat.graph import PoseGraph
 from masat.residuals import range_bearing_by_position, residuals
 
+# Added to what the others leave of a measurement's covariance, which may be nothing, as a fraction
+# of it.
+_LEAST_LEFT = 1e-9
+
 
 class Whitened(NamedTuple):
     """Residuals of a map in units of their standard deviations.
@@ -29,6 +33,12 @@ class Whitened(NamedTuple):
 
     residuals: Floats
     left: Floats
+
+    def distances(self) -> Floats:
+        """Return the squared distances of the measurements from what the others predict, (m,)."""
+        e, d = self.residuals[..., None], self.residuals.shape[1]
+        solved = np.linalg.solve(self.left + _LEAST_LEFT * np.eye(d), e)[..., 0]
+        return np.asarray(np.einsum("ki,ki->k", self.residuals, solved))
 
 
 def whitened(

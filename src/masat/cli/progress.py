@@ -45,18 +45,15 @@ class _Line:
             self._bar = None
 
 
-class Iterations(_Line):
-    """Shows the iterations of an optimizer."""
+class _Counted(_Line):
+    """A bar of something that is counted, from when it takes long."""
 
-    def __init__(self, what: str, limit: int, *, quiet: bool) -> None:
+    def __init__(self, what: str, total: int, unit: str, *, quiet: bool) -> None:
         super().__init__(what, quiet=quiet)
-        self._limit = limit
+        self._total, self._unit = total, unit
         self._since = perf_counter()
-        self._count = 0
 
-    def __call__(self, iteration: Iteration) -> None:
-        """Take note of an iteration."""
-        self._count += 1
+    def _count_up(self, done: int, description: str) -> None:
         bar = self._bar
         if self._silent or (bar is None and perf_counter() - self._since < _PATIENCE):
             return
@@ -66,41 +63,35 @@ class Iterations(_Line):
             bar = self._show(
                 TextColumn("{task.description}"),
                 BarColumn(),
-                TextColumn("{task.completed} of at most {task.total} iterations"),
+                TextColumn("{task.completed} " + self._unit),
                 TimeElapsedColumn(),
-                total=self._limit,
+                total=self._total,
             )
-        bar.update(
-            bar.task_ids[0],
-            completed=self._count,
-            description=f"{self._what}  chi2 {iteration.chi2:.6g}",
-        )
+        bar.update(bar.task_ids[0], completed=done, description=description)
 
 
-class Steps(_Line):
+class Iterations(_Counted):
+    """Shows the iterations of an optimizer."""
+
+    def __init__(self, what: str, limit: int, *, quiet: bool) -> None:
+        super().__init__(what, limit, "of at most {task.total} iterations", quiet=quiet)
+        self._count = 0
+
+    def __call__(self, iteration: Iteration) -> None:
+        """Take note of an iteration."""
+        self._count += 1
+        self._count_up(self._count, f"{self._what}  chi2 {iteration.chi2:.6g}")
+
+
+class Steps(_Counted):
     """Shows how many steps of known number are done."""
 
     def __init__(self, what: str, total: int, *, quiet: bool) -> None:
-        super().__init__(what, quiet=quiet)
-        self._total = total
-        self._since = perf_counter()
+        super().__init__(what, total, "of {task.total} steps", quiet=quiet)
 
     def advance(self, done: int) -> None:
         """Take note of how many steps are done."""
-        bar = self._bar
-        if self._silent or (bar is None and perf_counter() - self._since < _PATIENCE):
-            return
-        if bar is None:
-            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-
-            bar = self._show(
-                TextColumn("{task.description}"),
-                BarColumn(),
-                TextColumn("{task.completed} of {task.total} steps"),
-                TimeRemainingColumn(),
-                total=self._total,
-            )
-        bar.update(bar.task_ids[0], completed=done)
+        self._count_up(done, self._what)
 
 
 class Stages(_Line):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +11,10 @@ import numpy as np
 
 from masat import lie
 from masat.errors import FormatError
-from masat.files import write_atomically
+from masat.files import DAMAGED, write_atomically
 from masat.graph import PoseGraph
 
 _VERSION = 1
-# What NumPy raises where a file is damaged.
-_DAMAGED = (
-    KeyError,
-    TypeError,
-    ValueError,
-    EOFError,
-    NotImplementedError,
-    zlib.error,
-    zipfile.BadZipFile,
-)
 _ARRAYS = {
     "ids": np.int64,
     "poses": np.float64,
@@ -74,7 +62,7 @@ def read_map(path: Path) -> tuple[int, float, dict[str, Any]]:
             contents["next_edge"] = int(about["next_edge"])
             if not _fits(dimension, tolerance, contents):
                 raise FormatError("the arrays of the map do not fit each other", path)
-    except _DAMAGED as error:
+    except DAMAGED as error:
         if isinstance(error, FormatError):
             raise
         raise FormatError(f"not a map that OnlineMap.save wrote: {error}", path) from None

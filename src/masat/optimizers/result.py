@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +14,7 @@ import numpy as np
 from masat import measurements
 from masat.arrays import AnyArray, Flags, Floats, Ids, locked
 from masat.errors import FormatError, MasatError
-from masat.files import write_atomically
+from masat.files import DAMAGED, write_atomically
 from masat.freedoms import degrees_of_freedom
 from masat.graph import PoseGraph
 from masat.optimizers.termination import Iteration, StopReason
@@ -26,17 +24,6 @@ if TYPE_CHECKING:
     from masat.robust.decision import Decision
 
 _VERSION = 2
-# What NumPy raises where a file is damaged.
-_BROKEN = (
-    KeyError,
-    TypeError,
-    ValueError,
-    EOFError,
-    NotImplementedError,
-    zlib.error,
-    zipfile.BadZipFile,
-)
-
 _WEIGHTS = ("weights", "prior_weights", "observation_weights")
 
 
@@ -269,7 +256,7 @@ class Result:
                 )
         except FormatError:
             raise
-        except (*_BROKEN, MasatError) as error:
+        except (*DAMAGED, MasatError) as error:
             raise FormatError(f"not a saved result: {error}", path) from None
 
 

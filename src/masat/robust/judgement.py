@@ -26,9 +26,6 @@ _ABSENT = 1e-9
 _MAX_ROUNDS = 40
 # Times that a measurement may come back.
 _MAX_RETURNS = 2
-# Added to what the others check of a measurement, which may be nothing, as a fraction of its
-# covariance.
-_LEAST_LEFT = 1e-9
 _TOLERANCE, _ITERATIONS = 1e-4, 30
 # Measurements of a kind that tell whether its information is too large.
 _MIN_FOR_SCALE = 10
@@ -87,6 +84,10 @@ def judge(
         Threads that factorize.
     progress : Progress, optional
         What limits the time.
+
+    Returns
+    -------
+    Judgement
     """
     progress = progress or Progress()
     seen = assembly.source.landmarks
@@ -137,10 +138,9 @@ def _compared(
         progress=progress,
     ).poses
     graph = replace(graph, poses=poses)
-    white, left = whitened(graph, equations, absent=~kept)
-    solved = np.linalg.solve(left + _LEAST_LEFT * np.eye(graph.dof), white[..., None])[..., 0]
-    distance = np.einsum("ki,ki->k", white, solved)
-    return graph, np.maximum(distance, np.where(kept, np.square(white).sum(axis=1), 0.0))
+    compared = whitened(graph, equations, absent=~kept)
+    chi2 = np.square(compared.residuals).sum(axis=1)
+    return graph, np.maximum(compared.distances(), np.where(kept, chi2, 0.0))
 
 
 def _worst(outlying: Ids, badness: Floats, nodes: Ids) -> Ids:

@@ -16,8 +16,6 @@ from masat.redundancy import whitened
 # Redundancy that a group of edges needs for a scale, in edges.
 _MIN_REDUNDANCY = 10.0
 _MAX_TRIMS = 5
-# Added to what the others leave of an edge's covariance, which may be nothing, as a fraction of it.
-_LEAST_LEFT = 1e-9
 
 
 class Scales(NamedTuple):
@@ -94,9 +92,8 @@ def redundancy(graph: PoseGraph, equations: _core.NormalEquations | None = None)
     equations : NormalEquations, optional
         Those of the graph, to be used again.
     """
-    white, left = whitened(graph, equations)
-    chi2 = np.square(white).sum(axis=1)
-    numbers = np.einsum("kii->k", left).clip(0, graph.dof)
-    solved = np.linalg.solve(left + _LEAST_LEFT * np.eye(graph.dof), white[..., None])[..., 0]
-    left_out = np.einsum("ki,ki->k", white, solved)
+    compared = whitened(graph, equations)
+    chi2 = np.square(compared.residuals).sum(axis=1)
+    numbers = np.einsum("kii->k", compared.left).clip(0, graph.dof)
+    left_out = compared.distances()
     return Redundancy(chi2, numbers, np.maximum(left_out, chi2), graph.dof)
