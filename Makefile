@@ -82,7 +82,7 @@ $(VENV)/bin/pip:
 	$(BIN)/pip install -q --upgrade pip
 
 $(VENV)/.masat: $(VENV)/bin/pip $(SOURCES)
-	@echo "Compiling the core: a minute or two."
+	@echo "Compiling the core: two to four minutes."
 	$(BIN)/pip install -q .
 	@touch $@
 
