@@ -15,7 +15,7 @@ import numpy as np
 from masat import lie
 from masat.arrays import Flags, Floats, Ids
 from masat.graph import PoseGraph
-from masat.information import partial
+from masat.information import measured_directions, partial
 from masat.residuals import as_poses, measured_poses
 from masat.structure import Structure
 
@@ -34,11 +34,14 @@ class AssembledGraph(PoseGraph):
     relative : PoseGraph or None
         The poses and those edges alone that determine a relative pose in full; None in a part of
         such a graph.
+    values : int
+        How many values its edges measure.
     """
 
     offsets: Floats | None = field(default=None)
     range_bearing: Flags | None = field(default=None)
     relative: PoseGraph | None = field(default=None)
+    values: int = field(default=0)
 
     @property
     def sensor_offsets(self) -> Floats | None:
@@ -154,6 +157,7 @@ class Assembly:
             measurements=np.concatenate([old.measurements, measurements]),
             information=np.concatenate([old.information, information]),
             offsets=_padded(old.offsets, len(nodes)),
+            values=old.values + measured_directions(information),
             range_bearing=None
             if old.range_bearing is None
             else np.append(old.range_bearing, np.zeros(len(nodes), np.bool_)),
@@ -202,18 +206,22 @@ def assemble(graph: PoseGraph) -> Assembly:
         first = len(flags) - len(seen) - len(seen.observations)
         flags[first : first + len(seen.observations)] = seen.range_bearing
     structure = Structure(joint.ids, np.concatenate(edges), joint.gauge, graph.dof)
+    relative, information = relative_part(graph), np.concatenate(w)
+    # Most graphs have edges of full information alone, which need not be looked at again.
+    in_full = len(relative.edges) if len(relative.edges) == len(graph.edges) else 0
     assembled = AssembledGraph(
         ids=structure.ids,
         poses=None,
         edges=structure.edges,
         measurements=np.concatenate(z),
-        information=np.concatenate(w),
+        information=information,
         fixed=structure.fixed,
         notes=graph.notes,
         structure=structure,
         offsets=offsets,
         range_bearing=flags,
-        relative=relative_part(graph),
+        relative=relative,
+        values=graph.dof * in_full + measured_directions(information[in_full:]),
     )
     out = Assembly(graph, assembled)
     if graph.poses is None or (seen is not None and seen.positions is None):

@@ -10,7 +10,6 @@ from masat.arrays import Flags, Floats, Ids
 from masat.assembly import AssembledGraph
 from masat.chain import odometry_edges
 from masat.errors import OptimizationError
-from masat.freedoms import degrees_of_freedom
 from masat.graph import PoseGraph
 from masat.neighbors import neighbor_scale
 from masat.quantiles import FAR_GATE, MEDIAN
@@ -183,10 +182,9 @@ def _closures_first(graph: PoseGraph, edges: Ids, badness: Floats) -> Ids:
 
 
 def _reduced(graph: PoseGraph, chi2: float) -> float:
-    if isinstance(graph, AssembledGraph):
-        return chi2 / max(degrees_of_freedom(graph), 1)
-    free = len(graph.ids) - len(graph.gauge)
-    return chi2 / max(graph.dof * (len(graph.edges) - free), 1)
+    full = graph.dof * len(graph.edges)
+    values = graph.values if isinstance(graph, AssembledGraph) else full
+    return chi2 / max(values - graph.dof * (len(graph.ids) - len(graph.gauge)), 1)
 
 
 def _neighbor_scale(graph: PoseGraph) -> float | None:
