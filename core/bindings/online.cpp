@@ -25,13 +25,15 @@ bool add_node(OnlineMap& map, std::int64_t id, const std::optional<Vector<double
 }
 
 bool add_edges(OnlineMap& map, const Table<std::int64_t>& pairs, const Table<double>& measurements,
-               const Stack& information) {
+               const Stack& information, const std::optional<Vector<std::int64_t>>& numbers) {
   const std::size_t m = pairs.shape(0), d = static_cast<std::size_t>(map.dof());
+  require(!numbers || numbers->shape(0) == m, "one number an edge");
   require(pairs.shape(1) == 2 && measurements.shape(0) == m && information.shape(0) == m &&
               measurements.shape(1) == static_cast<std::size_t>(map.pose_size()) &&
               information.shape(1) == d && information.shape(2) == d,
           "one row an edge");
-  return map.add_edges({pairs.data(), pairs.size()}, measurements.data(), information.data());
+  return map.add_edges({pairs.data(), pairs.size()}, measurements.data(), information.data(),
+                       numbers ? numbers->data() : nullptr);
 }
 
 nb::tuple update(OnlineMap& map, double budget) {
@@ -40,7 +42,8 @@ nb::tuple update(OnlineMap& map, double budget) {
     nb::gil_scoped_release release;
     s = map.update(budget);
   }
-  return nb::make_tuple(s.chi2, s.refactored, s.relinearized, s.changed, s.passes, s.complete);
+  return nb::make_tuple(s.chi2, s.refactored, s.relinearized, s.changed, s.passes, s.complete,
+                        s.turned);
 }
 
 Array<double> poses_of(const OnlineMap& map) {
@@ -80,6 +83,24 @@ Array<double> covariances(OnlineMap& map, const Vector<std::int32_t>& rows,
     map.covariances(span_of(rows), span_of(columns), out.data());
   }
   return as_array(std::move(out), {rows.shape(0), d, d});
+}
+
+nb::tuple predict(OnlineMap& map, const Table<std::int32_t>& ends,
+                  const Table<double>& measurements, const Stack& information) {
+  const std::size_t m = ends.shape(0), d = static_cast<std::size_t>(map.dof());
+  require(ends.shape(1) == 2 && measurements.shape(0) == m && information.shape(0) == m &&
+              measurements.shape(1) == static_cast<std::size_t>(map.pose_size()) &&
+              information.shape(1) == d && information.shape(2) == d,
+          "one row an edge");
+  const std::span<const std::int32_t> nodes{ends.data(), ends.size()};
+  for (const std::int32_t k : nodes) require(k >= 0 && k < map.nodes(), "node out of range");
+  std::vector<double> distances(m), log_determinants(m);
+  {
+    nb::gil_scoped_release release;
+    map.predict(nodes, measurements.data(), information.data(), distances.data(),
+                log_determinants.data());
+  }
+  return nb::make_tuple(as_array(std::move(distances)), as_array(std::move(log_determinants)));
 }
 
 nb::dict contents_of(const OnlineMap& map) {
@@ -135,7 +156,8 @@ void bind_online(nb::module_& m) {
   nb::class_<OnlineMap>(m, "OnlineMap")
       .def(nb::new_(&make_online_map), "dimension"_a, "tolerance"_a)
       .def("add_node", &add_node, "node"_a, "pose"_a = nb::none())
-      .def("add_edges", &add_edges, "edges"_a, "measurements"_a, "information"_a)
+      .def("add_edges", &add_edges, "edges"_a, "measurements"_a, "information"_a,
+           "numbers"_a = nb::none())
       .def(
           "remove_edges",
           [](OnlineMap& map, const Vector<std::int64_t>& numbers) {
@@ -186,6 +208,18 @@ void bind_online(nb::module_& m) {
           },
           "nodes"_a)
       .def("covariances", &covariances, "rows"_a, "columns"_a)
+      .def("predict", &predict, "ends"_a, "measurements"_a, "information"_a)
+      .def(
+          "edge_chi2",
+          [](const OnlineMap& map, const Vector<std::int64_t>& numbers) {
+            for (const std::int64_t k : span_of(numbers)) {
+              require(map.has_edge(k), "edge out of range");
+            }
+            std::vector<double> out(numbers.shape(0));
+            map.edge_chi2(span_of(numbers), out.data());
+            return as_array(std::move(out));
+          },
+          "numbers"_a)
       .def("contents", &contents_of)
       .def("fill", &fill, "ids"_a, "poses"_a, "linearized"_a, "roots"_a, "edge_numbers"_a,
            "edges"_a, "measurements"_a, "information"_a, "next_edge"_a);

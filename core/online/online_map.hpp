@@ -31,6 +31,7 @@ struct StepSummary {
   std::int64_t refactored = 0, relinearized = 0, changed = 0;  // nodes
   std::int32_t passes = 0;
   bool complete = true;  // whether the tolerance has been reached
+  double turned = 0;     // largest rotation of a node that was there before, in radians
 };
 
 class OnlineMap {
@@ -42,10 +43,12 @@ class OnlineMap {
   // What is added or removed waits for the next update. A node that has its pose from the caller
   // starts there; others are placed by their first edge. Returns false, without any change, if
   // something needs a closer look: unknown ids, numbers that are not finite, information that is
-  // not symmetric positive definite, quaternions that are not of unit length.
+  // not symmetric positive definite, quaternions that are not of unit length. Edges get the next
+  // numbers, or those of removed edges, if `numbers` are given. An edge that is removed before it
+  // was part of the map never will be.
   virtual bool add_node(std::int64_t id, const double* pose) = 0;
   virtual bool add_edges(std::span<const std::int64_t> pairs, const double* measurements,
-                         const double* information) = 0;
+                         const double* information, const std::int64_t* numbers) = 0;
   virtual bool remove_edges(std::span<const std::int64_t> numbers) = 0;
   virtual bool has_edge(std::int64_t number) const = 0;
   virtual std::int64_t next_edge() const = 0;  // the number of the next edge that is added
@@ -65,6 +68,13 @@ class OnlineMap {
   virtual void covariances(std::span<const std::int32_t> rows,
                            std::span<const std::int32_t> columns, double* out) = 0;
   virtual void linearized(std::span<const std::int32_t> nodes, double* out) const = 0;
+  // What the map says of edges that are not part of it, by the indices of their ends: the squared
+  // Mahalanobis distance of the measurement from its prediction, with the covariances of both, and
+  // log det 2 pi of their sum. NaN between components.
+  virtual void predict(std::span<const std::int32_t> ends, const double* measurements,
+                       const double* information, double* distances, double* log_determinants) = 0;
+  // chi2 of edges of the map by their numbers, as of their last evaluation.
+  virtual void edge_chi2(std::span<const std::int64_t> numbers, double* out) const = 0;
   virtual MapContents contents() const = 0;
   // Fills an empty map, whose numbers have been checked. Throws Undetermined.
   virtual void fill(const MapContents& contents) = 0;

@@ -1,10 +1,12 @@
 // The steps of a map that grows.
 #pragma once
 
+#include <Eigen/Cholesky>
 #include <chrono>
 #include <cmath>
 #include <limits>
 #include <mutex>
+#include <numbers>
 #include <unordered_map>
 #include <utility>
 
@@ -25,6 +27,7 @@ class OnlineMapOf final : public OnlineMap {
   static constexpr int kDof = Group::kDof, kSize = Group::kSize;
   using Graph = GrowingGraph<Group>;
   using Square = typename Group::Square;
+  using Tangent = typename Group::Tangent;
 
   explicit OnlineMapOf(double tolerance) : tolerance_(tolerance) {}
 
@@ -44,7 +47,7 @@ class OnlineMapOf final : public OnlineMap {
 
   bool add_node(std::int64_t id, const double* pose) override;
   bool add_edges(std::span<const std::int64_t> pairs, const double* measurements,
-                 const double* information) override;
+                 const double* information, const std::int64_t* numbers) override;
   bool remove_edges(std::span<const std::int64_t> numbers) override;
   StepSummary update(double budget) override;
 
@@ -58,6 +61,14 @@ class OnlineMapOf final : public OnlineMap {
     for (const std::int32_t i : nodes) {
       graph_.place(i).linearized.store(out);
       out += kSize;
+    }
+  }
+  void predict(std::span<const std::int32_t> ends, const double* measurements,
+               const double* information, double* distances, double* log_determinants) override;
+  void edge_chi2(std::span<const std::int64_t> numbers, double* out) const override {
+    for (const std::int64_t number : numbers) {
+      const std::int32_t slot = slot_of_[number];
+      *out++ = slot < 0 ? std::numeric_limits<double>::quiet_NaN() : graph_.edge(slot).chi2;
     }
   }
   MapContents contents() const override;
@@ -103,7 +114,7 @@ class OnlineMapOf final : public OnlineMap {
   void settle(Clock::time_point deadline, bool limited, StepSummary& summary);
   void reorder_if_worthwhile(StepSummary& summary);
   void evaluate();
-  void publish();
+  double publish();
   void roll_back();
   void start_at_poses();
   void publish_all();

@@ -43,6 +43,44 @@ double OnlineMapOf<Group>::exact_chi2() const {
 }
 
 template <LieGroup Group>
+void OnlineMapOf<Group>::predict(std::span<const std::int32_t> ends, const double* measurements,
+                                 const double* information, double* distances,
+                                 double* log_determinants) {
+  constexpr std::int64_t kArea = std::int64_t{kDof} * kDof;
+  const std::size_t count = ends.size() / 2;
+  std::vector<std::int32_t> rows, columns;
+  for (std::size_t k = 0; k < count; ++k) {
+    const std::int32_t a = ends[2 * k], b = ends[2 * k + 1];
+    rows.insert(rows.end(), {a, b, b});
+    columns.insert(columns.end(), {a, b, a});
+  }
+  std::vector<double> blocks(rows.size() * kArea);
+  covariance_.write(factor_, rows, columns, blocks.data());
+  for (std::size_t k = 0; k < count; ++k) {
+    const std::int32_t a = ends[2 * k], b = ends[2 * k + 1];
+    if (graph_.node(a).root != graph_.node(b).root) {
+      distances[k] = log_determinants[k] = std::numeric_limits<double>::quiet_NaN();
+      continue;
+    }
+    const Group measured = Group::load(measurements + k * kSize);
+    Square by_a, by_b;
+    error(measured, graph_.place(a).linearized, graph_.place(b).linearized, by_a, by_b);
+    const double* const block = blocks.data() + 3 * k * kArea;
+    // A row-major block is the transpose of what Eigen reads.
+    const Eigen::Map<const Square> of_a(block), of_b(block + kArea), joint(block + 2 * kArea);
+    const Square mixed = by_a * joint * by_b.transpose();
+    const Square noise = Eigen::Map<const Square>(information + k * kArea).inverse();
+    const Square total = by_a * of_a * by_a.transpose() + by_b * of_b * by_b.transpose() + mixed +
+                         mixed.transpose() + noise;
+    const Eigen::LLT<Square> root(total);
+    const Tangent e = error(measured, graph_.place(a).pose, graph_.place(b).pose);
+    distances[k] = root.matrixL().solve(e).squaredNorm();
+    log_determinants[k] = kDof * std::log(2 * std::numbers::pi);
+    for (int i = 0; i < kDof; ++i) log_determinants[k] += 2 * std::log(root.matrixLLT()(i, i));
+  }
+}
+
+template <LieGroup Group>
 MapContents OnlineMapOf<Group>::contents() const {
   MapContents out;
   out.ids.assign(ids_.begin(), ids_.begin() + state_.nodes);

@@ -16,9 +16,12 @@ bool OnlineMapOf<Group>::add_node(std::int64_t id, const double* pose) {
 
 template <LieGroup Group>
 bool OnlineMapOf<Group>::add_edges(std::span<const std::int64_t> pairs, const double* measurements,
-                                   const double* information) {
+                                   const double* information, const std::int64_t* numbers) {
   const std::size_t count = pairs.size() / 2, before = pending_.edges.size();
   const std::int64_t first = next_edge();
+  for (std::size_t k = 0; k < count && numbers != nullptr; ++k) {
+    if (numbers[k] < 0 || numbers[k] >= first || slot_of_[numbers[k]] != kRemoved) return false;
+  }
   for (std::size_t k = 0; k < count; ++k) {
     const std::int32_t from = find(pairs[2 * k]), to = find(pairs[2 * k + 1]);
     const double* const z = measurements + k * kSize;
@@ -28,10 +31,14 @@ bool OnlineMapOf<Group>::add_edges(std::span<const std::int64_t> pairs, const do
       pending_.edges.resize(before);
       return false;
     }
-    pending_.edges.push_back({from, to, first + static_cast<std::int64_t>(k), Group::load(z),
-                              Eigen::Map<const Square>(w)});
+    const std::int64_t number =
+        numbers == nullptr ? first + static_cast<std::int64_t>(k) : numbers[k];
+    pending_.edges.push_back({from, to, number, Group::load(z), Eigen::Map<const Square>(w)});
   }
-  slot_of_.resize(slot_of_.size() + count, kWaiting);
+  if (numbers == nullptr) slot_of_.resize(slot_of_.size() + count);
+  for (std::size_t k = before; k < pending_.edges.size(); ++k) {
+    slot_of_[pending_.edges[k].number] = kWaiting;
+  }
   return true;
 }
 
@@ -45,7 +52,14 @@ bool OnlineMapOf<Group>::remove_edges(std::span<const std::int64_t> numbers) {
   std::vector<std::int64_t> sorted = all;
   std::sort(sorted.begin(), sorted.end());
   if (std::adjacent_find(sorted.begin(), sorted.end()) != sorted.end()) return false;
-  pending_.removals = std::move(all);
+  for (const std::int64_t number : numbers) {
+    if (slot_of_[number] != kWaiting) {
+      pending_.removals.push_back(number);
+      continue;
+    }
+    std::erase_if(pending_.edges, [number](const auto& edge) { return edge.number == number; });
+    slot_of_[number] = kRemoved;
+  }
   return true;
 }
 
@@ -75,7 +89,7 @@ StepSummary OnlineMapOf<Group>::update(double budget) {
     roll_back();
     throw;
   }
-  publish();
+  summary.turned = publish();
   summary.chi2 = graph_.chi2();
   summary.refactored = factor_.refactored() - refactored;
   return summary;
@@ -244,15 +258,26 @@ double OnlineMapOf<Group>::reference(double chi2) const {
   return std::max(chi2, kNegligible * numbers);
 }
 
+// Makes the poses those that readers get, and returns the largest rotation among them.
 template <LieGroup Group>
-void OnlineMapOf<Group>::publish() {
+double OnlineMapOf<Group>::publish() {
+  constexpr int kAngles = kDof == 3 ? 1 : 3;
+  double turned = 0;
   const std::lock_guard<std::mutex> lock(mutex_);
+  const std::int32_t before = state_.nodes;
   state_.nodes = graph_.size();
   state_.poses.resize(std::size_t(state_.nodes) * kSize);
   for (const std::int32_t i : moved_) {
-    graph_.place(i).pose.store(state_.poses.data() + std::int64_t{i} * kSize);
+    double* const stored = state_.poses.data() + std::int64_t{i} * kSize;
+    const Group& pose = graph_.place(i).pose;
+    if (i < before) {
+      const auto moved = error(Group{}, Group::load(stored), pose);
+      turned = std::max(turned, moved.template tail<kAngles>().norm());
+    }
+    pose.store(stored);
   }
   state_.chi2 = graph_.chi2();
+  return kAngles == 1 ? turned : 2 * std::asin(std::min(turned, 1.0));
 }
 
 template <LieGroup Group>

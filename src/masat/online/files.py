@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from masat import lie
+from masat.arrays import AnyArray, Ids, Indices
 from masat.errors import FormatError
 from masat.files import DAMAGED, write_atomically
 from masat.graph import PoseGraph
+from masat.online.arrivals import is_kept, record_of
 
 _VERSION = 1
 _ARRAYS = {
@@ -27,8 +29,14 @@ _ARRAYS = {
 }
 
 
-def write_map(path: Path, dimension: int, tolerance: float, contents: dict[str, Any]) -> None:
-    """Write the contents of the core's map to a file, whole or not at all."""
+def write_map(
+    path: Path,
+    dimension: int,
+    tolerance: float,
+    contents: dict[str, Any],
+    closures: AnyArray | None = None,
+) -> None:
+    """Write the contents of the core's map to a file, and the closures of a robust one."""
     about = {
         "version": _VERSION,
         "kind": "online map",
@@ -38,12 +46,14 @@ def write_map(path: Path, dimension: int, tolerance: float, contents: dict[str, 
     }
     buffer = io.BytesIO()
     arrays = {name: contents[name] for name in _ARRAYS}
+    if closures is not None:
+        arrays["closures"] = closures
     np.savez_compressed(buffer, about=np.array(json.dumps(about)), **arrays)
     write_atomically(path, buffer.getvalue())
 
 
-def read_map(path: Path) -> tuple[int, float, dict[str, Any]]:
-    """Return dimension, tolerance and contents of a map, checked.
+def read_map(path: Path) -> tuple[int, float, dict[str, Any], AnyArray | None]:
+    """Return dimension, tolerance, contents and, of a robust map, closures; all are checked.
 
     Raises
     ------
@@ -60,13 +70,16 @@ def read_map(path: Path) -> tuple[int, float, dict[str, Any]]:
             }
             dimension, tolerance = int(about["dimension"]), float(about["tolerance"])
             contents["next_edge"] = int(about["next_edge"])
-            if not _fits(dimension, tolerance, contents):
+            closures = arrays.get("closures")
+            if not _fits(dimension, tolerance, contents) or not _belong(
+                closures, dimension, contents
+            ):
                 raise FormatError("the arrays of the map do not fit each other", path)
     except DAMAGED as error:
         if isinstance(error, FormatError):
             raise
         raise FormatError(f"not a map that OnlineMap.save wrote: {error}", path) from None
-    return dimension, tolerance, contents
+    return dimension, tolerance, contents, closures
 
 
 def _fits(dimension: int, tolerance: float, c: dict[str, Any]) -> bool:
@@ -86,10 +99,36 @@ def _fits(dimension: int, tolerance: float, c: dict[str, Any]) -> bool:
         PoseGraph.from_arrays(
             c["edges"], c["measurements"], c["information"], ids=c["ids"], poses=poses
         )
-    # The first node of each component is fixed.
     graph = PoseGraph.from_arrays(
         c["edges"], c["measurements"], c["information"], ids=c["ids"], poses=c["poses"]
     )
-    labels = graph.components[graph.index(c["ids"])]
-    _, first, of_label = np.unique(labels, return_index=True, return_inverse=True)
-    return bool((first[of_label] == roots).all())
+    return bool((first_of_components(graph, c["ids"]) == roots).all())
+
+
+def _belong(closures: AnyArray | None, dimension: int, c: dict[str, Any]) -> bool:
+    """Tell whether closures are those of a map; ValueErrors tell more."""
+    if closures is None:
+        return True
+    if closures.dtype != record_of(dimension) or closures.ndim != 1:
+        return False
+    numbers, ends = closures["number"], closures["ends"]
+    if (np.diff(numbers) <= 0).any() or not ((numbers >= 0) & (numbers < c["next_edge"])).all():
+        return False
+    if not ((ends >= 0) & (ends < len(c["ids"]))).all():
+        return False
+    if (c["ids"][ends] != closures["ids"]).any():
+        return False
+    PoseGraph.from_arrays(
+        closures["ids"], closures["measurement"], closures["information"], ids=c["ids"]
+    )
+    return bool((np.isin(numbers, c["edge_numbers"]) == is_kept(closures)).all())
+
+
+def first_of_components(graph: PoseGraph, ids: Ids) -> Indices:
+    """Return for each of the ids of a graph the index of the first one of its component, (n,).
+
+    That one is fixed, if the ids are in the order in which they were added.
+    """
+    components = graph.components[graph.index(ids)]
+    _, first, own = np.unique(components, return_index=True, return_inverse=True)
+    return first[own].astype(np.int32)

@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import os
 import threading
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, Self
+from time import perf_counter
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from masat import _checks as checks
 from masat import _core, lie
-from masat.arrays import Floats, Ids, Indices
+from masat.arrays import AnyArray, Floats, Ids, Indices
 from masat.covariance import relative_from_blocks
 from masat.errors import GraphError, OptimizationError
 from masat.graph import PoseGraph
 from masat.online.additions import are_plain, checked_edges, checked_guess, checked_id
+from masat.online.arrivals import Arrivals
 from masat.online.files import read_map, write_map
+from masat.online.review import Found, Review, Snapshot, look_again, snapshot
+from masat.online.schedule import Schedule
+from masat.online.takeover import taken_over
+from masat.online.update import Update
 from masat.optimizers import Result, optimize
 
 # Measured on seven public graphs (benchmarks/online.py): chi2 is then 1.5e-4 above the optimum of a
@@ -26,34 +33,6 @@ _TOLERANCE = 1.5e-4
 _NO_BUDGET = 1e9
 # A change of chi2 by less is below what two runs of an optimizer agree in.
 _OPTIMUM = 1e-13
-
-
-class Update(NamedTuple):
-    """What one update of an `OnlineMap` did.
-
-    Attributes
-    ----------
-    chi2 : float
-        Sum over the edges of e' W e after it, approximately: edges whose poses hardly moved are not
-        evaluated again. `OnlineMap.chi2` is exact.
-    refactored : int
-        Nodes that were eliminated again.
-    relinearized : int
-        Nodes whose edges were linearized again.
-    changed : int
-        Nodes that moved, however little.
-    passes : int
-        How often the equations were solved.
-    complete : bool
-        Whether the tolerance was reached. If not, for lack of time, the next update goes on.
-    """
-
-    chi2: float
-    refactored: int
-    relinearized: int
-    changed: int
-    passes: int
-    complete: bool
 
 
 class OnlineMap:
@@ -108,7 +87,9 @@ class OnlineMap:
     0.0034
     """
 
-    def __init__(self, dimension: int, *, tolerance: float = _TOLERANCE) -> None:
+    def __init__(
+        self, dimension: int, *, tolerance: float = _TOLERANCE, robust: bool = False
+    ) -> None:
         if dimension not in lie.DOF:
             raise GraphError(f"the dimension must be 2 or 3, got {dimension!r}")
         if not 0 <= tolerance < 1:
@@ -116,6 +97,9 @@ class OnlineMap:
         self._dimension, self._tolerance = int(dimension), float(tolerance)
         self._core = _core.OnlineMap(self._dimension, self._tolerance)
         self._writing = threading.RLock()
+        self._arrivals = Arrivals(self._dimension) if robust else None
+        self._schedule = Schedule()
+        self._review: Review | None = None
 
     def __len__(self) -> int:
         return self._core.nodes()
@@ -132,6 +116,11 @@ class OnlineMap:
     def tolerance(self) -> float:
         """Fraction of chi2 by which that of the estimate may exceed the optimum."""
         return self._tolerance
+
+    @property
+    def robust(self) -> bool:
+        """Whether loop closures are judged."""
+        return self._arrivals is not None
 
     def add_pose(self, node: int, guess: ArrayLike | None = None) -> None:
         """Add a pose, which becomes part of the map at the next `update`.
@@ -160,6 +149,8 @@ class OnlineMap:
         edges: ArrayLike,
         measurements: ArrayLike,
         information: ArrayLike | None = None,
+        *,
+        trusted: bool | None = None,
     ) -> Ids:
         """Add edges, which become part of the map at the next `update`.
 
@@ -173,6 +164,9 @@ class OnlineMap:
             Inverse covariances, one an edge or one for all, symmetric positive definite, in the
             order of g2o: x, y, theta, or translation and vector part of the quaternion. Default:
             the identity.
+        trusted : bool, optional
+            Whether these edges are believed in any case, in a robust map. Default: those are that
+            are the first of one of their nodes, as odometry is.
 
         Returns
         -------
@@ -190,16 +184,15 @@ class OnlineMap:
         """
         with self._writing:
             first = self._core.next_edge()
-            if not (
-                are_plain(edges, measurements, information, self._dimension)
-                and self._core.add_edges(edges, measurements, information)  # type: ignore[arg-type]
-            ):
-                checked = checked_edges(
-                    self._core, edges, measurements, information, self._dimension
-                )
-                if not self._core.add_edges(*checked):
+            rows: tuple[Any, Any, Any] = edges, measurements, information
+            if not (are_plain(*rows, dimension=self._dimension) and self._core.add_edges(*rows)):
+                rows = checked_edges(self._core, *rows, dimension=self._dimension)
+                if not self._core.add_edges(*rows):
                     raise GraphError("the edges cannot be added: their numbers are too large")
-            return np.arange(first, self._core.next_edge())
+            numbers = np.arange(first, self._core.next_edge())
+            if self._arrivals is not None:
+                self._arrivals.withhold(self._core, numbers, *rows, trusted=trusted)
+            return numbers
 
     def remove_edges(self, numbers: int | ArrayLike) -> None:
         """Remove edges at the next `update`; nodes that lose all their edges remain.
@@ -221,11 +214,17 @@ class OnlineMap:
         if wanted.ndim != 1:
             raise GraphError(f"numbers of edges must have shape (k,), got {wanted.shape}")
         with self._writing:
-            if not self._core.remove_edges(wanted):
-                for number in wanted:
+            withheld = np.zeros(len(wanted), np.bool_)
+            if self._arrivals is not None:
+                withheld = self._arrivals.withheld(wanted)
+            twice = len(np.unique(wanted)) < len(wanted)
+            if twice or not self._core.remove_edges(wanted[~withheld]):
+                for number in wanted[~withheld]:
                     if not self._core.has_edge(int(number)):
                         raise GraphError(f"the map has no edge {number}, or it is removed already")
                 raise GraphError("an edge is named twice among those to be removed")
+            if self._arrivals is not None:
+                self._arrivals.remove(wanted)
 
     def update(self, budget: float | None = None) -> Update:
         """Bring the map up to date with all that was added and removed.
@@ -249,17 +248,91 @@ class OnlineMap:
             the last update is forgotten then, and the map is as before.
         """
         with self._writing:
+            begin = perf_counter()
             try:
-                done = Update(*self._core.update(_NO_BUDGET if budget is None else float(budget)))
-            except _core.UndeterminedError as error:
-                raise _undetermined(
-                    error, "what was added since the last update is forgotten"
-                ) from None
-            if done.complete or budget is not None:
-                return done
-            # Gauss-Newton, which all this is, does not converge from everywhere.
-            result = self._to_optimum()
-            return done._replace(chi2=result.chi2, complete=result.converged)
+                done = self._updated(budget)
+            except OptimizationError:
+                if self._arrivals is not None:
+                    self._arrivals.forget_new()
+                raise
+            if self._arrivals is not None:
+                left = None if budget is None else max(budget - (perf_counter() - begin), 0.0)
+                done = self._with_judged(self._arrivals, done, left)
+            self._schedule.count(done.turned)
+            self._look_after_reviews()
+            return done
+
+    def _updated(self, budget: float | None) -> Update:
+        try:
+            done = Update(*self._core.update(_NO_BUDGET if budget is None else float(budget)))
+        except _core.UndeterminedError as error:
+            raise _undetermined(
+                error, "what was added since the last update is forgotten"
+            ) from None
+        if done.complete or budget is not None:
+            return done
+        # Gauss-Newton, which all this is, does not converge from everywhere.
+        result = self._to_optimum()
+        return done._replace(chi2=result.chi2, complete=result.converged)
+
+    def _with_judged(self, arrivals: Arrivals, done: Update, budget: float | None) -> Update:
+        """Judge the closures that have just arrived, and add those that are believed."""
+        believed = arrivals.judge(self._core)
+        if len(believed) == 0:
+            return done
+        numbers, ids, z, w = (
+            np.ascontiguousarray(believed[name])
+            for name in ("number", "ids", "measurement", "information")
+        )
+        self._core.add_edges(ids, z, w, numbers)
+        try:
+            done = done.followed_by(self._updated(budget))
+            far = arrivals.drop_far(self._core, believed)
+            if len(far):
+                self._core.remove_edges(far)
+                done = done.followed_by(self._updated(budget))
+        except OptimizationError:
+            arrivals.reject(numbers)
+        return done
+
+    def _look_after_reviews(self) -> None:
+        """Begin a review of the whole map, or take over its outcome, if it is time."""
+        if self._review is not None:
+            if self._schedule.steps >= self._review.due:
+                self._end_review()
+            return
+        doubted = 0 if self._arrivals is None else self._arrivals.doubted
+        if self._schedule.is_time(len(self), doubted):
+            due = self._schedule.begin(len(self), doubted)
+            self._review = Review(self._snapshot(), due)
+
+    def _end_review(self) -> None:
+        review, self._review = self._review, None
+        if review is not None:
+            self._take_over(review.seen, review.outcome())
+
+    def _snapshot(self) -> Snapshot:
+        contents, arrivals = self._core.contents(), self._arrivals
+        if arrivals is None:
+            return snapshot(contents)
+        open_ = arrivals.edges(arrivals.present & ~arrivals.kept)
+        return snapshot(contents, open_, arrivals.rows["number"])
+
+    def _take_over(self, seen: Snapshot, found: Found) -> None:
+        """Make the map that a review found, if it found another one."""
+        decision = found.decision
+        changed = 0 if decision is None else np.count_nonzero(decision.kept != seen.believed)
+        self._schedule.end(int(changed), 0 if self._arrivals is None else len(self._arrivals))
+        if found.poses is None:
+            return
+        core = _core.OnlineMap(self._dimension, self._tolerance)
+        arrivals = None if self._arrivals is None else self._arrivals.copy()
+        try:
+            core.fill(**taken_over(self._core, arrivals, seen, found))
+            core.update(_NO_BUDGET)
+        except _core.UndeterminedError:
+            return
+        self._core, self._arrivals = core, arrivals
 
     @property
     def ids(self) -> Ids:
@@ -341,10 +414,28 @@ class OnlineMap:
             where = self._core.linearized(np.concatenate([a, b]))
             return relative_from_blocks(of_a, of_b, joint, where[: len(a)], where[len(a) :])
 
+    @property
+    def closures(self) -> AnyArray:
+        """The loop closures of a robust map: a structured array with a row for each.
+
+        `edge` (its number), `from`, `to`, `kept`, `distance` and `log_ratio` (of the measurement
+        from its prediction, when it was judged last, as in `masat.robust.Decision`), `reason`.
+        """
+        with self._writing:
+            arrivals = Arrivals(self._dimension) if self._arrivals is None else self._arrivals
+            return arrivals.table()
+
+    @property
+    def rejected(self) -> Ids:
+        """The numbers of the loop closures that are not part of the map, ascending."""
+        table = self.closures
+        return np.asarray(table["edge"][~table["kept"]])
+
     def graph(self) -> PoseGraph:
         """Return the map after the last update as an immutable graph with poses.
 
         Its edges are in the order of their numbers, and its gauge-fixed nodes are those of the map.
+        A robust map has the edges that are believed.
 
         Raises
         ------
@@ -382,7 +473,14 @@ class OnlineMap:
         """
         with self._writing:
             self.update()
-            return self._to_optimum()
+            self._end_review()
+            if self._arrivals is None:
+                return self._to_optimum()
+            seen = self._snapshot()
+            self._schedule.begin(len(self), self._arrivals.doubted)
+            found = look_again(seen)
+            self._take_over(seen, found)
+            return replace(self._to_optimum(), decision=found.decision)
 
     def _to_optimum(self) -> Result:
         """Optimize the graph, and move the map to its poses."""
@@ -398,7 +496,9 @@ class OnlineMap:
         """Write the map after the last update to an .npz file, whole or not at all."""
         with self._writing:
             contents = self._core.contents()
-        write_map(Path(path), self._dimension, self._tolerance, contents)
+            arrivals = self._arrivals
+            closures = None if arrivals is None else arrivals.rows[arrivals.present]
+        write_map(Path(path), self._dimension, self._tolerance, contents, closures)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -409,12 +509,15 @@ class OnlineMap:
         FormatError
             If the file holds something else.
         """
-        dimension, tolerance, contents = read_map(Path(path))
-        out = cls(dimension, tolerance=tolerance)
+        dimension, tolerance, contents, closures = read_map(Path(path))
+        out = cls(dimension, tolerance=tolerance, robust=closures is not None)
         try:
             out._core.fill(**contents)
         except _core.UndeterminedError as error:
             raise _undetermined(error, "the file cannot be used") from None
+        if out._arrivals is not None and closures is not None:
+            out._arrivals.restore(out._core, contents, closures)
+            out._schedule.begin(len(out), out._arrivals.doubted)
         return out
 
     def _indices(self, ids: ArrayLike, ndim: int) -> Indices:

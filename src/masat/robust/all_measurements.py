@@ -34,6 +34,7 @@ def decide(
     *,
     initialize: Guess = chordal,
     search: Guess | None = None,
+    believed: Flags | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Decision:
@@ -54,6 +55,8 @@ def decide(
         The initial guess of all edges, where the trusted ones do not contradict the others.
     search : callable, optional
         From a minimum in which all edges fit to a lower one, if there is one. Default: no search.
+    believed : ndarray of bool, (m,), optional
+        Edges that an earlier decision believed: the map begins with them, and may reject them.
     threads : int, optional
         Threads that factorize. The decision does not depend on it. Default: as many as pay.
     progress : Progress, optional
@@ -80,6 +83,7 @@ def decide(
             mask[full],
             initialize=initialize,
             search=search,
+            believed=None if believed is None else believed[full],
             threads=threads,
             progress=progress,
         )

@@ -18,13 +18,15 @@ from masat.robust.prediction import agreement, predict, predict_by_odometry
 
 # Likelihood ratios, in logarithms: that of a closure which others support, and how much more one
 # alone needs than the number of such closures, while the map grows and in the end.
-_MIN_RATIO, _ODDS_ALONE, _FINAL_ODDS = 3.0, 3.0, 1.5
+MIN_RATIO, ODDS_ALONE, _FINAL_ODDS = 3.0, 3.0, 1.5
 _TOLERANCE, _ITERATIONS, _ROUGH_ITERATIONS = 1e-5, 30, 8
 _MAX_ROUNDS, _MAX_STALLS, _MAX_REFINEMENTS = 100, 8, 5
 # Nodes from an end of a new closure within which predictions are made again at once.
 NEAR = 5 * REACH
 # A group of new closures is dropped if more than this fraction of it has to be.
 _MAX_LOST = 0.3
+# Closures with which a map begins fit together if no more than this fraction has to be dropped.
+_MAX_MISFIT = 0.02
 # So small a fraction of the kept closures is believed in one round.
 _FEW = 0.35
 # Fraction of new closures below which the map predicts what it did before.
@@ -85,6 +87,20 @@ class Growth:
     def chi2(self) -> Floats:
         """chi2 of each edge of the whole graph at the poses of the map, (m,)."""
         return chi2_per_edge(self._closures.graph, self.poses)
+
+    def begin_with(self, believed: Ids) -> None:
+        """Believe closures that another map kept, unless they do not fit together.
+
+        The others are predicted from the map that they make.
+        """
+        if len(believed) == 0:
+            return
+        before = self.copy()
+        self.believe(believed)
+        if int(self.kept.sum()) < (1 - _MAX_MISFIT) * len(believed):
+            self.__dict__.update(before.__dict__)
+        else:
+            self._predict_runs(~self.kept)
 
     def grow(self, *, everywhere: bool = True, thorough: bool = False) -> None:
         """Believe closures until the map predicts no other.
@@ -203,12 +219,12 @@ class Growth:
             setattr(other, name, getattr(self, name).copy())
         return other
 
-    def _likely(self, odds: float = _ODDS_ALONE) -> Ids:
+    def _likely(self, odds: float = ODDS_ALONE) -> Ids:
         """Return the closures to believe next, the most likely first."""
         free = ~(self.kept | self.banned | self.refused)
         # The more closures there are, the more likely a false one fits by chance.
         alone = np.log(max(int(np.count_nonzero(~self.kept & ~self.supported)), 1)) + odds
-        needed = np.where(self.supported, _MIN_RATIO, alone)
+        needed = np.where(self.supported, MIN_RATIO, alone)
         within = self.distance < GATE[self._closures.graph.dof]
         likely = np.flatnonzero(free & within & (self.log_ratio > needed))
         return likely[np.argsort(-self.log_ratio[likely], kind="stable")]
@@ -219,7 +235,7 @@ class Growth:
         limit = 0.0 if self._closures.few else _NEXT_TO_NONE
         return bool(new <= limit * np.count_nonzero(self.kept))
 
-    def _confirmed(self, likely: Ids, odds: float = _ODDS_ALONE) -> Ids:
+    def _confirmed(self, likely: Ids, odds: float = ODDS_ALONE) -> Ids:
         """Return those that are likely also by a prediction of their own."""
         borrowed = likely[self._borrowed[likely]]
         if len(borrowed) == 0:

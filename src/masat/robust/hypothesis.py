@@ -97,9 +97,14 @@ class Hypothesis:
 
 
 def grown(
-    graph: PoseGraph, trusted: Flags, used: Scales, progress: Progress, threads: int | None = None
+    graph: PoseGraph,
+    trusted: Flags,
+    used: Scales,
+    progress: Progress,
+    threads: int | None = None,
+    believed: Flags | None = None,
 ) -> Hypothesis:
-    """Grow a map with scaled information, and improve it."""
+    """Grow a map with scaled information, perhaps from edges already believed, and improve it."""
     of_trusted, of_closures = (scale or 1.0 for scale in used)
     if (of_trusted, of_closures) != (1.0, 1.0):
         factors = np.where(trusted, of_trusted, of_closures)
@@ -108,6 +113,8 @@ def grown(
     growth = Growth(closures, progress)
     first, alone = growth.distance.copy(), growth.map.chi2
     try:
+        if believed is not None:
+            growth.begin_with(np.flatnonzero(believed[closures.edges]))
         growth.grow(thorough=True)
     except KeyboardInterrupt:
         progress.interrupt()
@@ -125,10 +132,14 @@ def grown(
 
 
 def best_scaled(
-    graph: PoseGraph, trusted: Flags, progress: Progress, threads: int | None = None
+    graph: PoseGraph,
+    trusted: Flags,
+    progress: Progress,
+    threads: int | None = None,
+    believed: Flags | None = None,
 ) -> Hypothesis:
     """Return the hypothesis of the lowest cost, with the information as it is and rescaled."""
-    best = last = grown(graph, trusted, Scales(1.0, 1.0), progress, threads)
+    best = last = grown(graph, trusted, Scales(1.0, 1.0), progress, threads, believed)
     for _ in range(_MAX_SCALES):
         used = _better_scales(last)
         if used is None or progress.over:

@@ -45,6 +45,7 @@ def decide_on_closures(
     *,
     initialize: Guess = chordal,
     search: Guess | None = None,
+    believed: Flags | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Decision:
@@ -67,6 +68,8 @@ def decide_on_closures(
         The initial guess of all edges, where the trusted ones do not contradict the others.
     search : callable, optional
         From a minimum in which all edges fit to a lower one, if there is one. Default: no search.
+    believed : ndarray of bool, (m,), optional
+        Edges that an earlier decision believed: the map begins with them, and may reject them.
     threads : int, optional
         Threads that factorize. The decision does not depend on it. Default: as many as pay.
     progress : Progress, optional
@@ -96,7 +99,7 @@ def decide_on_closures(
     if fit is not None and len(fit.released) == 0:
         return _decision_of_fit(closures, fit)
     try:
-        best = best_scaled(graph, joined, progress, threads)
+        best = best_scaled(graph, joined, progress, threads, believed)
     except KeyboardInterrupt:
         if fit is None:
             raise
