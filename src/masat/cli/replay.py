@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
-from masat.arrays import Floats, Ids
+from masat.arrays import AnyArray, Floats, Ids
 from masat.cli import options, show
 from masat.cli.progress import Steps
 from masat.formats import format_of, write
-from masat.online.growing import OnlineMap
+from masat.online.growing import TOLERANCE, OnlineMap
+
+if TYPE_CHECKING:
+    from masat.online.stream import Replay
 
 _MAX_FRAMES = 150
 # chi2 of an edge below which measurements have no noise: nothing is to be compared then.
@@ -35,7 +39,14 @@ _NO_NOISE = 1e-12
 @click.option(
     "--tolerance",
     type=click.FloatRange(0, 1, max_open=True),
-    help="Fraction of chi2 by which a map may exceed its optimum.  [default: that of OnlineMap]",
+    default=TOLERANCE,
+    show_default=True,
+    help="Fraction of chi2 by which a map may exceed its optimum.",
+)
+@click.option(
+    "--robust",
+    is_flag=True,
+    help="Judge each loop closure when it arrives, and leave out those that seem false.",
 )
 @options.output
 def replay(
@@ -45,7 +56,8 @@ def replay(
     out: Path | None,
     film: Path | None,
     step_budget: float | None,
-    tolerance: float | None,
+    tolerance: float,
+    robust: bool,
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -76,19 +88,27 @@ def replay(
             if film is not None and (done % every == 0 or done == len(graph)):
                 frames.append((online.poses, position[newest < done]))
 
-        run = replayed(graph, tolerance=tolerance, budget=step_budget, report=report)
-    chi2 = run.map.chi2
+        run = replayed(graph, tolerance=tolerance, robust=robust, budget=step_budget, report=report)
+    chi2, rejected = run.map.chi2, len(run.map.rejected)
     start = perf_counter()
     optimum = run.map.optimize()
     batch_seconds = perf_counter() - start
     if out is not None:
-        write(graph.with_poses(optimum.poses[optimum.graph.index(graph.ids)]), out)
+        edges, closures = _judged(run)
+        left_out = np.zeros(len(graph.edges), np.bool_)
+        left_out[edges[~closures["kept"]]] = True
+        poses = optimum.poses[optimum.graph.index(graph.ids)]
+        write(graph.without_edges(left_out).with_poses(poses), out)
     if film is not None:
         from masat.plotting.film import write_film
 
         write_film(frames, film)
-    exact = optimum.chi2 <= _NO_NOISE * len(graph.edges)
-    excess = None if exact else chi2 / optimum.chi2 - 1
+    excess, compared = None, "; the map was there up to rounding"
+    if len(run.map.rejected) != rejected:
+        compared = ""  # Other edges have another optimum.
+    elif optimum.chi2 > _NO_NOISE * len(graph.edges):
+        excess = chi2 / optimum.chi2 - 1
+        compared = f"; the map was {excess:.1e} above it"
     milliseconds = 1e3 * run.seconds
     if as_json:
         show.as_json(
@@ -103,6 +123,7 @@ def replay(
                 "optimum": optimum.chi2,
                 "excess": excess,
                 "optimize_seconds": batch_seconds,
+                **({"rejected": _rejected(run)} if robust else {}),
             }
         )
     elif not quiet:
@@ -117,12 +138,43 @@ def replay(
                     f"{np.percentile(milliseconds, 99):.3g} ms, the slowest "
                     f"{milliseconds.max():.3g} ms",
                 ),
+                *_row_of_closures(run, rejected),
                 ("chi2", f"{chi2:.6g} after the last step"),
                 (
                     "optimum",
-                    f"{optimum.chi2:.6g}, reached in {show.duration(batch_seconds)}; the map was "
-                    + ("there up to rounding" if excess is None else f"{excess:.1e} above it"),
+                    f"{optimum.chi2:.6g}, reached in {show.duration(batch_seconds)}{compared}",
                 ),
                 ("written", ", ".join(written) or "nothing: name a file with -o"),
             ]
         )
+
+
+def _judged(run: Replay) -> tuple[Ids, AnyArray]:
+    """Return the edges of the graph that were judged, and what is thought of them."""
+    table = run.map.closures
+    order = np.argsort(run.numbers)
+    return order[np.searchsorted(run.numbers[order], table["edge"])], table
+
+
+def _rejected(run: Replay) -> list[dict[str, Any]]:
+    """Return what JSON says of the closures that are left out."""
+    return [
+        {
+            "edge": int(edge),
+            "from": int(row["from"]),
+            "to": int(row["to"]),
+            "reason": str(row["reason"]),
+        }
+        for edge, row in zip(*_judged(run), strict=True)
+        if not row["kept"]
+    ]
+
+
+def _row_of_closures(run: Replay, before: int) -> list[tuple[str, str]]:
+    if not run.map.robust:
+        return []
+    last = len(run.map.rejected)
+    said = f"{len(run.map.closures)}, of which {before} were left out after the last step"
+    if last != before:
+        said += f" and {last} are after a decision on all together"
+    return [("closures", said)]

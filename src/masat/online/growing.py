@@ -29,7 +29,7 @@ from masat.optimizers import Result, optimize
 
 # Measured on seven public graphs (benchmarks/online.py): chi2 is then 1.5e-4 above the optimum of a
 # step in the mean.
-_TOLERANCE = 1.5e-4
+TOLERANCE = 1.5e-4
 _NO_BUDGET = 1e9
 # A change of chi2 by less is below what two runs of an optimizer agree in.
 _OPTIMUM = 1e-13
@@ -50,6 +50,12 @@ class OnlineMap:
     One thread may change the map while any number of others read `poses`, `pose` and `ids`: they
     get the state after the last complete update and never wait for one.
 
+    If an update turns poses far, which may have led to a wrong minimum, the whole map is solved on
+    another thread, from an initial guess of its own, while it grows on. So it is when many closures
+    have been rejected, to decide on all of them together. The outcome is taken over a number of
+    updates later that depends on the size of the map alone, so that the same input gives the same
+    map; only where the machine is too slow for that, an update waits.
+
     Parameters
     ----------
     dimension : int
@@ -58,6 +64,10 @@ class OnlineMap:
     tolerance : float
         Fraction of chi2 by which that of the estimate may exceed the optimum, as far as first-order
         bounds tell. Smaller values cost more; 0 solves each step as exactly as rounding allows.
+    robust : bool
+        Whether to judge each loop closure when it arrives: one that contradicts the map, or that is
+        as likely false as true, is left out. `closures` and `rejected` tell what was thought of it.
+        Trusted are the edges that are the first of a node, as odometry is.
 
     Raises
     ------
@@ -88,7 +98,7 @@ class OnlineMap:
     """
 
     def __init__(
-        self, dimension: int, *, tolerance: float = _TOLERANCE, robust: bool = False
+        self, dimension: int, *, tolerance: float = TOLERANCE, robust: bool = False
     ) -> None:
         if dimension not in lie.DOF:
             raise GraphError(f"the dimension must be 2 or 3, got {dimension!r}")
@@ -153,6 +163,8 @@ class OnlineMap:
         trusted: bool | None = None,
     ) -> Ids:
         """Add edges, which become part of the map at the next `update`.
+
+        A robust map then judges loop closures first, and may leave them out.
 
         Parameters
         ----------
@@ -301,10 +313,13 @@ class OnlineMap:
             if self._schedule.steps >= self._review.due:
                 self._end_review()
             return
-        doubted = 0 if self._arrivals is None else self._arrivals.doubted
-        if self._schedule.is_time(len(self), doubted):
-            due = self._schedule.begin(len(self), doubted)
+        if self._schedule.is_time(len(self), self._doubted):
+            due = self._schedule.begin(len(self), self._doubted)
             self._review = Review(self._snapshot(), due)
+
+    @property
+    def _doubted(self) -> int:
+        return 0 if self._arrivals is None else self._arrivals.doubted
 
     def _end_review(self) -> None:
         review, self._review = self._review, None
@@ -459,10 +474,14 @@ class OnlineMap:
     def optimize(self) -> Result:
         """Take the map to the optimum that `masat.optimize` finds from its poses.
 
+        A robust map first decides on all loop closures together, as `masat.solve` does with
+        `robust=True`; any other, where poses have turned far, looks for a lower minimum.
+
         Returns
         -------
         Result
-            That of `masat.optimize`; the map has its poses.
+            That of `masat.optimize`; the map has its poses. The `decision` of a robust map is on
+            all edges in the order of their numbers.
 
         Raises
         ------
@@ -474,10 +493,10 @@ class OnlineMap:
         with self._writing:
             self.update()
             self._end_review()
-            if self._arrivals is None:
+            if self._arrivals is None and not self._schedule.has_turned:
                 return self._to_optimum()
             seen = self._snapshot()
-            self._schedule.begin(len(self), self._arrivals.doubted)
+            self._schedule.begin(len(self), self._doubted)
             found = look_again(seen)
             self._take_over(seen, found)
             return replace(self._to_optimum(), decision=found.decision)

@@ -11,7 +11,7 @@ import numpy as np
 from masat.arrays import Floats, Ids
 from masat.errors import GraphError
 from masat.graph import PoseGraph
-from masat.online.growing import OnlineMap
+from masat.online.growing import TOLERANCE, OnlineMap
 
 
 class Step(NamedTuple):
@@ -36,11 +36,14 @@ class Replay(NamedTuple):
     ----------
     map : OnlineMap
         The map after the last step.
+    numbers : ndarray of int64, (m,)
+        The number that each edge of the graph has in the map.
     seconds : ndarray, (n,)
         Wall time of each step: additions, update and reading all poses.
     """
 
     map: OnlineMap
+    numbers: Ids
     seconds: Floats
 
 
@@ -65,7 +68,8 @@ def steps(graph: PoseGraph) -> Iterator[Step]:
 def replay(
     graph: PoseGraph,
     *,
-    tolerance: float | None = None,
+    tolerance: float = TOLERANCE,
+    robust: bool = False,
     budget: float | None = None,
     report: Callable[[int, OnlineMap], None] | None = None,
 ) -> Replay:
@@ -75,8 +79,8 @@ def replay(
     ----------
     graph : PoseGraph
         The graph; its poses do not count.
-    tolerance : float, optional
-        As of `OnlineMap`. Default: that of `OnlineMap`.
+    tolerance, robust
+        As of `OnlineMap`.
     budget : float, optional
         Seconds an update, as of `OnlineMap.update`.
     report : callable, optional
@@ -87,17 +91,14 @@ def replay(
     GraphError, OptimizationError
         As of `steps` and of `OnlineMap`.
     """
-    online = (
-        OnlineMap(graph.dimension)
-        if tolerance is None
-        else OnlineMap(graph.dimension, tolerance=tolerance)
-    )
+    online = OnlineMap(graph.dimension, tolerance=tolerance, robust=robust)
+    numbers = np.zeros(len(graph.edges), np.int64)
     seconds = np.zeros(len(graph))
     for k, (node, edges) in enumerate(steps(graph)):
         start = perf_counter()
         online.add_pose(node)
         if len(edges):
-            online.add_edges(
+            numbers[edges] = online.add_edges(
                 graph.edges[edges], graph.measurements[edges], graph.information[edges]
             )
         online.update(budget)
@@ -105,4 +106,4 @@ def replay(
         seconds[k] = perf_counter() - start
         if report is not None:
             report(k + 1, online)
-    return Replay(online, seconds)
+    return Replay(online, numbers, seconds)
