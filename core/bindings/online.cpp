@@ -36,6 +36,19 @@ bool add_edges(OnlineMap& map, const Table<std::int64_t>& pairs, const Table<dou
                        numbers ? numbers->data() : nullptr);
 }
 
+bool add_priors(OnlineMap& map, const Vector<std::int32_t>& nodes,
+                const Table<double>& measurements, const Stack& information,
+                const std::optional<Vector<std::int64_t>>& numbers) {
+  const std::size_t m = nodes.shape(0), d = static_cast<std::size_t>(map.dof());
+  require(measurements.size() == m * static_cast<std::size_t>(map.pose_size()) &&
+              information.size() == m * d * d && (!numbers || numbers->shape(0) == m),
+          "one row a prior");
+  // They may be on nodes that wait for the next update.
+  for (const std::int32_t k : span_of(nodes)) require(k > 0, "node out of range");
+  return map.add_priors(span_of(nodes), measurements.data(), information.data(),
+                        numbers ? numbers->data() : nullptr);
+}
+
 nb::tuple update(OnlineMap& map, double budget) {
   StepSummary s;
   {
@@ -60,6 +73,15 @@ Array<double> poses_of(const OnlineMap& map) {
 std::int32_t known(const OnlineMap& map, std::int64_t id) {
   const std::int32_t index = map.find(id);
   return index < map.nodes() ? index : -1;
+}
+
+template <void (OnlineMap::*kMethod)(const double*)>
+void with_poses(OnlineMap& map, const Table<double>& poses) {
+  require(poses.shape(0) + 1 == static_cast<std::size_t>(map.nodes()) &&
+              poses.shape(1) == static_cast<std::size_t>(map.pose_size()),
+          "poses of all nodes");
+  nb::gil_scoped_release release;
+  (map.*kMethod)(poses.data());
 }
 
 nb::object pose_of(const OnlineMap& map, std::int64_t id) {
@@ -119,6 +141,11 @@ nb::dict contents_of(const OnlineMap& map) {
   out["edges"] = as_array(std::move(c.pairs), {m, 2});
   out["measurements"] = as_array(std::move(c.measurements), {m, s});
   out["information"] = as_array(std::move(c.information), {m, d, d});
+  const std::size_t p = c.prior_numbers.size();
+  out["prior_numbers"] = as_array(std::move(c.prior_numbers));
+  out["prior_ids"] = as_array(std::move(c.prior_ids));
+  out["prior_measurements"] = as_array(std::move(c.prior_measurements), {p, s});
+  out["prior_information"] = as_array(std::move(c.prior_information), {p, d, d});
   out["next_edge"] = c.next_edge;
   return out;
 }
@@ -131,15 +158,22 @@ std::vector<T> copied(const A& array) {
 void fill(OnlineMap& map, const Vector<std::int64_t>& ids, const Table<double>& poses,
           const Table<double>& linearized, const Vector<std::int32_t>& roots,
           const Vector<std::int64_t>& numbers, const Table<std::int64_t>& edges,
-          const Table<double>& measurements, const Stack& information, std::int64_t next_edge) {
-  const std::size_t n = ids.shape(0), m = numbers.shape(0), s = map.pose_size(), d = map.dof();
-  require(map.nodes() == 0 && poses.size() == n * s && linearized.size() == n * s &&
+          const Table<double>& measurements, const Stack& information,
+          const Vector<std::int64_t>& prior_numbers, const Vector<std::int64_t>& prior_ids,
+          const Table<double>& prior_measurements, const Stack& prior_information,
+          std::int64_t next_edge) {
+  const std::size_t n = ids.shape(0), m = numbers.shape(0), p = prior_numbers.shape(0);
+  const std::size_t s = map.pose_size(), d = map.dof();
+  require(map.nodes() == 1 && poses.size() == n * s && linearized.size() == n * s &&
               roots.shape(0) == n && edges.size() == 2 * m && measurements.size() == m * s &&
-              information.size() == m * d * d,
+              information.size() == m * d * d && prior_ids.shape(0) == p &&
+              prior_measurements.size() == p * s && prior_information.size() == p * d * d,
           "contents of a map");
   map.fill({copied<std::int64_t>(ids), copied<double>(poses), copied<double>(linearized),
             copied<std::int32_t>(roots), copied<std::int64_t>(numbers), copied<std::int64_t>(edges),
-            copied<double>(measurements), copied<double>(information), next_edge});
+            copied<double>(measurements), copied<double>(information),
+            copied<std::int64_t>(prior_numbers), copied<std::int64_t>(prior_ids),
+            copied<double>(prior_measurements), copied<double>(prior_information), next_edge});
 }
 
 }  // namespace
@@ -158,6 +192,9 @@ void bind_online(nb::module_& m) {
       .def("add_node", &add_node, "node"_a, "pose"_a = nb::none())
       .def("add_edges", &add_edges, "edges"_a, "measurements"_a, "information"_a,
            "numbers"_a = nb::none())
+      .def("add_priors", &add_priors, "nodes"_a, "measurements"_a, "information"_a,
+           "numbers"_a = nb::none())
+      .def("roots", [](const OnlineMap& map) { return as_array(map.roots()); })
       .def(
           "remove_edges",
           [](OnlineMap& map, const Vector<std::int64_t>& numbers) {
@@ -174,16 +211,8 @@ void bind_online(nb::module_& m) {
       .def("edges", &OnlineMap::edges)
       .def("bytes_of_factor", &OnlineMap::bytes_of_factor)
       .def("fill_of_factor", &OnlineMap::fill_of_factor)
-      .def(
-          "set_poses",
-          [](OnlineMap& map, const Table<double>& poses) {
-            require(poses.shape(0) == static_cast<std::size_t>(map.nodes()) &&
-                        poses.shape(1) == static_cast<std::size_t>(map.pose_size()),
-                    "poses of all nodes");
-            nb::gil_scoped_release release;
-            map.set_poses(poses.data());
-          },
-          "poses"_a)
+      .def("set_poses", &with_poses<&OnlineMap::set_poses>, "poses"_a)
+      .def("start_from", &with_poses<&OnlineMap::start_from>, "poses"_a)
       .def("exact_chi2", &OnlineMap::exact_chi2, nb::call_guard<nb::gil_scoped_release>())
       .def("ids", [](const OnlineMap& map) { return as_array(map.ids()); })
       .def("has_edge", &OnlineMap::has_edge, "number"_a)
@@ -222,7 +251,8 @@ void bind_online(nb::module_& m) {
           "numbers"_a)
       .def("contents", &contents_of)
       .def("fill", &fill, "ids"_a, "poses"_a, "linearized"_a, "roots"_a, "edge_numbers"_a,
-           "edges"_a, "measurements"_a, "information"_a, "next_edge"_a);
+           "edges"_a, "measurements"_a, "information"_a, "prior_numbers"_a, "prior_ids"_a,
+           "prior_measurements"_a, "prior_information"_a, "next_edge"_a);
 }
 
 }  // namespace masat

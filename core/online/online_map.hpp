@@ -15,14 +15,16 @@ struct Undetermined : std::runtime_error {
   std::int64_t id;
 };
 
-// All of a map: what a file holds of it.
+// All of a map: what a file holds of it. The world is not among the nodes.
 struct MapContents {
   std::vector<std::int64_t> ids;      // of the nodes, in the order in which they were added
   std::vector<double> poses, bases;   // where they are, and where their edges were linearized
-  std::vector<std::int32_t> roots;    // index of the fixed node of each node's component
+  std::vector<std::int32_t> roots;    // the fixed node of each one's component; -1: the world
   std::vector<std::int64_t> numbers;  // of the edges, ascending
   std::vector<std::int64_t> pairs;    // ids that the edges join
   std::vector<double> measurements, information;
+  std::vector<std::int64_t> prior_numbers, prior_ids;
+  std::vector<double> prior_measurements, prior_information;
   std::int64_t next_edge = 0;
 };
 
@@ -31,9 +33,11 @@ struct StepSummary {
   std::int64_t refactored = 0, relinearized = 0, changed = 0;  // nodes
   std::int32_t passes = 0;
   bool complete = true;  // whether the tolerance has been reached
-  double turned = 0;     // largest rotation of a node that was there before, in radians
+  // Largest rotation in radians, but for nodes that are new or have another fixed node now.
+  double turned = 0;
 };
 
+// The world is the node of index 0: it is fixed at the identity, and priors are edges from it.
 class OnlineMap {
  public:
   virtual ~OnlineMap() = default;
@@ -49,6 +53,10 @@ class OnlineMap {
   virtual bool add_node(std::int64_t id, const double* pose) = 0;
   virtual bool add_edges(std::span<const std::int64_t> pairs, const double* measurements,
                          const double* information, const std::int64_t* numbers) = 0;
+  // The same for priors on nodes, by their indices; information may be semidefinite, which is not
+  // checked. The component of a node that gets its first prior stays where it is.
+  virtual bool add_priors(std::span<const std::int32_t> nodes, const double* measurements,
+                          const double* information, const std::int64_t* numbers) = 0;
   virtual bool remove_edges(std::span<const std::int64_t> numbers) = 0;
   virtual bool has_edge(std::int64_t number) const = 0;
   virtual std::int64_t next_edge() const = 0;  // the number of the next edge that is added
@@ -59,8 +67,10 @@ class OnlineMap {
   // the next update goes on. Throws Undetermined, and forgets what waited.
   virtual StepSummary update(double budget) = 0;
 
-  // Moves all nodes to other poses, and linearizes there. Throws Undetermined.
+  // Moves all nodes but the world to other poses, and linearizes there. Throws Undetermined.
   virtual void set_poses(const double* poses) = 0;
+  // Makes the next update solve everything, from other poses. They are forgotten if it throws.
+  virtual void start_from(const double* poses) = 0;
   // The sum over the edges at the current poses; what `update` tells is approximate.
   virtual double exact_chi2() const = 0;
   // Blocks of the joint covariance of the steps from the linearization, by indices of nodes; each
@@ -75,6 +85,7 @@ class OnlineMap {
                        const double* information, double* distances, double* log_determinants) = 0;
   // chi2 of edges of the map by their numbers, as of their last evaluation.
   virtual void edge_chi2(std::span<const std::int64_t> numbers, double* out) const = 0;
+  virtual std::vector<std::int32_t> roots() const = 0;  // the fixed node of each one's component
   virtual MapContents contents() const = 0;
   // Fills an empty map, whose numbers have been checked. Throws Undetermined.
   virtual void fill(const MapContents& contents) = 0;
@@ -82,7 +93,7 @@ class OnlineMap {
   virtual std::int64_t bytes_of_factor() const = 0;
   virtual std::int64_t fill_of_factor() const = 0;  // scalars
 
-  // The last complete state, which any thread may read at any time.
+  // The last complete state, the world included, which any thread may read at any time.
   virtual std::int32_t nodes() const = 0;
   virtual std::vector<std::int64_t> ids() const = 0;
   virtual double chi2() const = 0;

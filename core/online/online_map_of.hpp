@@ -29,7 +29,13 @@ class OnlineMapOf final : public OnlineMap {
   using Square = typename Group::Square;
   using Tangent = typename Group::Tangent;
 
-  explicit OnlineMapOf(double tolerance) : tolerance_(tolerance) {}
+  explicit OnlineMapOf(double tolerance) : tolerance_(tolerance) {
+    graph_.add_node(Group{});
+    ids_.push_back(0);
+    given_.push_back(true);
+    resize();
+    publish_all();
+  }
 
   int dof() const override { return kDof; }
   int pose_size() const override { return kSize; }
@@ -48,10 +54,13 @@ class OnlineMapOf final : public OnlineMap {
   bool add_node(std::int64_t id, const double* pose) override;
   bool add_edges(std::span<const std::int64_t> pairs, const double* measurements,
                  const double* information, const std::int64_t* numbers) override;
+  bool add_priors(std::span<const std::int32_t> nodes, const double* measurements,
+                  const double* information, const std::int64_t* numbers) override;
   bool remove_edges(std::span<const std::int64_t> numbers) override;
   StepSummary update(double budget) override;
 
   void set_poses(const double* poses) override;
+  void start_from(const double* poses) override;
   double exact_chi2() const override;
   void covariances(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                    double* out) override {
@@ -70,6 +79,11 @@ class OnlineMapOf final : public OnlineMap {
       const std::int32_t slot = slot_of_[number];
       *out++ = slot < 0 ? std::numeric_limits<double>::quiet_NaN() : graph_.edge(slot).chi2;
     }
+  }
+  std::vector<std::int32_t> roots() const override {
+    std::vector<std::int32_t> out(state_.nodes);
+    for (std::int32_t i = 0; i < state_.nodes; ++i) out[i] = graph_.node(i).root;
+    return out;
   }
   MapContents contents() const override;
   void fill(const MapContents& contents) override;
@@ -105,6 +119,8 @@ class OnlineMapOf final : public OnlineMap {
   static constexpr std::size_t kAhead = 6;  // nodes or edges that are fetched before their turn
   static constexpr std::int32_t kWaiting = -2, kRemoved = -1;  // instead of the slot of an edge
 
+  bool may_be_numbered(std::size_t count, const std::int64_t* numbers) const;
+  void wait(std::size_t before, const std::int64_t* numbers);
   void apply_changes();
   void apply(const PendingEdge<Group>& edge);
   void apply_removal(std::int64_t number);
@@ -116,6 +132,7 @@ class OnlineMapOf final : public OnlineMap {
   void evaluate();
   double publish();
   void roll_back();
+  void load_poses(const double* poses);
   void start_at_poses();
   void publish_all();
   double reference(double chi2) const;
@@ -135,6 +152,7 @@ class OnlineMapOf final : public OnlineMap {
   std::vector<std::int32_t> slot_of_;  // of each edge by its number
   PendingChanges<Group> pending_;
 
+  bool all_moved_ = false;  // since the last update, by the caller
   // Nodes that have moved, and edges to be evaluated, in the current update.
   std::vector<std::int32_t> moved_, edges_;
   std::vector<std::int64_t> seen_edge_;

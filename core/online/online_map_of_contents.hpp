@@ -5,10 +5,7 @@ namespace masat {
 
 template <LieGroup Group>
 void OnlineMapOf<Group>::set_poses(const double* poses) {
-  for (std::int32_t i = 0; i < state_.nodes; ++i) {
-    graph_.place(i).pose = Group::load(poses + std::int64_t{i} * kSize);
-  }
-  start_at_poses();
+  load_poses(poses);
   try {
     factor_.drop(graph_);
     factor_.eliminate(graph_);
@@ -21,6 +18,20 @@ void OnlineMapOf<Group>::set_poses(const double* poses) {
     throw Undetermined(id);
   }
   publish_all();
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::start_from(const double* poses) {
+  load_poses(poses);
+  all_moved_ = true;
+}
+
+template <LieGroup Group>
+void OnlineMapOf<Group>::load_poses(const double* poses) {
+  for (std::int32_t i = 1; i < state_.nodes; ++i) {
+    graph_.place(i).pose = Group::load(poses + (std::int64_t{i} - 1) * kSize);
+  }
+  start_at_poses();
 }
 
 template <LieGroup Group>
@@ -83,24 +94,30 @@ void OnlineMapOf<Group>::predict(std::span<const std::int32_t> ends, const doubl
 template <LieGroup Group>
 MapContents OnlineMapOf<Group>::contents() const {
   MapContents out;
-  out.ids.assign(ids_.begin(), ids_.begin() + state_.nodes);
-  out.poses = state_.poses;
-  out.bases.resize(state_.poses.size());
-  for (std::int32_t i = 0; i < state_.nodes; ++i) {
-    out.roots.push_back(graph_.node(i).root);
-    graph_.place(i).linearized.store(out.bases.data() + std::int64_t{i} * kSize);
+  out.ids.assign(ids_.begin() + 1, ids_.begin() + state_.nodes);
+  out.poses.assign(state_.poses.begin() + kSize, state_.poses.end());
+  out.bases.resize(out.poses.size());
+  for (std::int32_t i = 1; i < state_.nodes; ++i) {
+    out.roots.push_back(graph_.node(i).root - 1);
+    graph_.place(i).linearized.store(out.bases.data() + (std::int64_t{i} - 1) * kSize);
   }
   out.next_edge = next_edge();
   for (std::int64_t number = 0; number < next_edge(); ++number) {
     if (slot_of_[number] < 0) continue;
     const auto& e = graph_.edge(slot_of_[number]);
-    out.numbers.push_back(number);
-    out.pairs.push_back(ids_[e.from]);
-    out.pairs.push_back(ids_[e.to]);
-    out.measurements.resize(out.measurements.size() + kSize);
-    e.measured.store(out.measurements.data() + out.measurements.size() - kSize);
-    out.information.insert(out.information.end(), e.information.data(),
-                           e.information.data() + kDof * kDof);
+    const bool prior = e.from == 0;
+    auto& measurements = prior ? out.prior_measurements : out.measurements;
+    auto& information = prior ? out.prior_information : out.information;
+    (prior ? out.prior_numbers : out.numbers).push_back(number);
+    if (prior) {
+      out.prior_ids.push_back(ids_[e.to]);
+    } else {
+      out.pairs.push_back(ids_[e.from]);
+      out.pairs.push_back(ids_[e.to]);
+    }
+    measurements.resize(measurements.size() + kSize);
+    e.measured.store(measurements.data() + measurements.size() - kSize);
+    information.insert(information.end(), e.information.data(), e.information.data() + kDof * kDof);
   }
   return out;
 }
@@ -108,23 +125,33 @@ MapContents OnlineMapOf<Group>::contents() const {
 template <LieGroup Group>
 void OnlineMapOf<Group>::fill(const MapContents& contents) {
   const auto count = static_cast<std::int32_t>(contents.ids.size());
-  for (std::int32_t i = 0; i < count; ++i) {
-    const double* const base = contents.bases.data() + std::int64_t{i} * kSize;
-    add_node(contents.ids[i], base);
-    const Group pose = Group::load(contents.poses.data() + std::int64_t{i} * kSize);
+  for (std::int32_t k = 0; k < count; ++k) {
+    const double* const base = contents.bases.data() + std::int64_t{k} * kSize;
+    add_node(contents.ids[k], base);
+    const std::int32_t i = k + 1;
+    const Group pose = Group::load(contents.poses.data() + std::int64_t{k} * kSize);
     graph_.step(i) = error(Group{}, graph_.place(i).linearized, pose);
     graph_.place(i).pose = pose;
-    graph_.node(i).root = contents.roots[i];
+    graph_.node(i).root = contents.roots[k] + 1;
   }
   resize();
   slot_of_.assign(contents.next_edge, kRemoved);
+  const auto add = [this](std::int64_t number, std::int32_t from, std::int32_t to,
+                          const double* measured, const double* information) {
+    slot_of_[number] = graph_.add_edge(number, from, to, Group::load(measured),
+                                       Eigen::Map<const Square>(information));
+  };
+  constexpr std::size_t kArea = kDof * kDof;
   for (std::size_t k = 0; k < contents.numbers.size(); ++k) {
-    const std::int32_t from = find(contents.pairs[2 * k]), to = find(contents.pairs[2 * k + 1]);
-    const Eigen::Map<const Square> w(contents.information.data() + k * kDof * kDof);
-    slot_of_[contents.numbers[k]] = graph_.add_edge(
-        contents.numbers[k], from, to, Group::load(contents.measurements.data() + k * kSize), w);
+    add(contents.numbers[k], find(contents.pairs[2 * k]), find(contents.pairs[2 * k + 1]),
+        contents.measurements.data() + k * kSize, contents.information.data() + k * kArea);
   }
-  for (std::int32_t i = 0; i < count; ++i) {
+  for (std::size_t k = 0; k < contents.prior_numbers.size(); ++k) {
+    add(contents.prior_numbers[k], 0, find(contents.prior_ids[k]),
+        contents.prior_measurements.data() + k * kSize,
+        contents.prior_information.data() + k * kArea);
+  }
+  for (std::int32_t i = 0; i <= count; ++i) {
     back_.know(graph_, i);
     factor_.touch(i);
   }

@@ -18,10 +18,7 @@ template <LieGroup Group>
 bool OnlineMapOf<Group>::add_edges(std::span<const std::int64_t> pairs, const double* measurements,
                                    const double* information, const std::int64_t* numbers) {
   const std::size_t count = pairs.size() / 2, before = pending_.edges.size();
-  const std::int64_t first = next_edge();
-  for (std::size_t k = 0; k < count && numbers != nullptr; ++k) {
-    if (numbers[k] < 0 || numbers[k] >= first || slot_of_[numbers[k]] != kRemoved) return false;
-  }
+  if (!may_be_numbered(count, numbers)) return false;
   for (std::size_t k = 0; k < count; ++k) {
     const std::int32_t from = find(pairs[2 * k]), to = find(pairs[2 * k + 1]);
     const double* const z = measurements + k * kSize;
@@ -31,15 +28,46 @@ bool OnlineMapOf<Group>::add_edges(std::span<const std::int64_t> pairs, const do
       pending_.edges.resize(before);
       return false;
     }
-    const std::int64_t number =
-        numbers == nullptr ? first + static_cast<std::int64_t>(k) : numbers[k];
-    pending_.edges.push_back({from, to, number, Group::load(z), Eigen::Map<const Square>(w)});
+    pending_.edges.push_back({from, to, 0, Group::load(z), Eigen::Map<const Square>(w)});
   }
-  if (numbers == nullptr) slot_of_.resize(slot_of_.size() + count);
-  for (std::size_t k = before; k < pending_.edges.size(); ++k) {
-    slot_of_[pending_.edges[k].number] = kWaiting;
-  }
+  wait(before, numbers);
   return true;
+}
+
+template <LieGroup Group>
+bool OnlineMapOf<Group>::add_priors(std::span<const std::int32_t> nodes, const double* measurements,
+                                    const double* information, const std::int64_t* numbers) {
+  const std::size_t before = pending_.edges.size();
+  if (!may_be_numbered(nodes.size(), numbers)) return false;
+  for (std::size_t k = 0; k < nodes.size(); ++k) {
+    pending_.edges.push_back({0, nodes[k], 0, Group::load(measurements + k * kSize),
+                              Eigen::Map<const Square>(information + k * kDof * kDof)});
+  }
+  wait(before, numbers);
+  return true;
+}
+
+// Whether numbers are those of removed edges, if there are any.
+template <LieGroup Group>
+bool OnlineMapOf<Group>::may_be_numbered(std::size_t count, const std::int64_t* numbers) const {
+  if (numbers == nullptr) return true;
+  return std::all_of(numbers, numbers + count, [this](std::int64_t number) {
+    return number >= 0 && number < next_edge() && slot_of_[number] == kRemoved;
+  });
+}
+
+// Numbers the edges that have been added to those that wait, from one on.
+template <LieGroup Group>
+void OnlineMapOf<Group>::wait(std::size_t before, const std::int64_t* numbers) {
+  for (std::size_t k = before; k < pending_.edges.size(); ++k) {
+    if (numbers == nullptr) {
+      pending_.edges[k].number = next_edge();
+      slot_of_.push_back(kWaiting);
+    } else {
+      pending_.edges[k].number = *numbers;
+      slot_of_[*numbers++] = kWaiting;
+    }
+  }
 }
 
 template <LieGroup Group>
@@ -98,7 +126,8 @@ StepSummary OnlineMapOf<Group>::update(double budget) {
 template <LieGroup Group>
 void OnlineMapOf<Group>::apply_changes() {
   resize();
-  for (std::int32_t i = state_.nodes; i < graph_.size(); ++i) moved_.push_back(i);
+  for (std::int32_t i = all_moved_ ? 0 : state_.nodes; i < graph_.size(); ++i) moved_.push_back(i);
+  all_moved_ = false;
   for (const PendingEdge<Group>& edge : pending_.edges) apply(edge);
   for (const std::int64_t number : pending_.removals) apply_removal(number);
   pending_.clear();
@@ -113,7 +142,7 @@ void OnlineMapOf<Group>::resize() {
 template <LieGroup Group>
 void OnlineMapOf<Group>::apply(const PendingEdge<Group>& edge) {
   const std::int32_t newer = std::max(edge.from, edge.to);
-  const bool keep = given_[newer] && graph_.node(newer).edges.empty();
+  const bool keep = edge.from == 0 || (given_[newer] && graph_.node(newer).edges.empty());
   const std::int32_t freed =
       components_.join(graph_, edge.from, edge.to, edge.measured, keep, moved_, root_log_);
   if (freed >= 0) release_root(freed);
@@ -263,6 +292,10 @@ template <LieGroup Group>
 double OnlineMapOf<Group>::publish() {
   constexpr int kAngles = kDof == 3 ? 1 : 3;
   double turned = 0;
+  // A component that is moved as a whole has not turned.
+  std::vector<std::int32_t> carried;
+  for (const auto& change : root_log_) carried.push_back(change.node);
+  std::sort(carried.begin(), carried.end());
   const std::lock_guard<std::mutex> lock(mutex_);
   const std::int32_t before = state_.nodes;
   state_.nodes = graph_.size();
@@ -270,7 +303,7 @@ double OnlineMapOf<Group>::publish() {
   for (const std::int32_t i : moved_) {
     double* const stored = state_.poses.data() + std::int64_t{i} * kSize;
     const Group& pose = graph_.place(i).pose;
-    if (i < before) {
+    if (i < before && !std::binary_search(carried.begin(), carried.end(), i)) {
       const auto moved = error(Group{}, Group::load(stored), pose);
       turned = std::max(turned, moved.template tail<kAngles>().norm());
     }
@@ -283,6 +316,7 @@ double OnlineMapOf<Group>::publish() {
 template <LieGroup Group>
 void OnlineMapOf<Group>::roll_back() {
   pending_.clear();
+  all_moved_ = false;
   for (auto e = removed_log_.rbegin(); e != removed_log_.rend(); ++e) {
     slot_of_[e->number] = graph_.add_edge(e->number, e->from, e->to, e->measured, e->information);
   }

@@ -89,7 +89,7 @@ def replay(
                 frames.append((online.poses, position[newest < done]))
 
         run = replayed(graph, tolerance=tolerance, robust=robust, budget=step_budget, report=report)
-    chi2, rejected = run.map.chi2, len(run.map.rejected)
+    chi2, rejected = run.map.chi2, run.map.rejected
     start = perf_counter()
     optimum = run.map.optimize()
     batch_seconds = perf_counter() - start
@@ -104,7 +104,7 @@ def replay(
 
         write_film(frames, film)
     excess, compared = None, "; the map was there up to rounding"
-    if len(run.map.rejected) != rejected:
+    if not np.array_equal(run.map.rejected, rejected):
         compared = ""  # Other edges have another optimum.
     elif optimum.chi2 > _NO_NOISE * len(graph.edges):
         excess = chi2 / optimum.chi2 - 1
@@ -138,7 +138,7 @@ def replay(
                     f"{np.percentile(milliseconds, 99):.3g} ms, the slowest "
                     f"{milliseconds.max():.3g} ms",
                 ),
-                *_row_of_closures(run, rejected),
+                *_row_of_closures(run, len(rejected)),
                 ("chi2", f"{chi2:.6g} after the last step"),
                 (
                     "optimum",

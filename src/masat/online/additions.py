@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike
 
 from masat import _checks as checks
 from masat import _core, lie
-from masat.arrays import Floats, Ids
+from masat.arrays import Floats, Ids, Indices
 from masat.errors import GraphError, InformationError
 from masat.information import indefinite
+from masat.measurements.priors import Priors
 
 
 def checked_id(node: Any) -> int:
@@ -108,3 +109,31 @@ def checked_edges(
             count=len(bad),
         )
     return pairs, z, w
+
+
+def checked_priors(core: _core.OnlineMap, priors: Priors, dimension: int) -> Indices:
+    """Return the indices of the nodes of priors.
+
+    Raises
+    ------
+    GraphError
+        As `OnlineMap.add_priors`.
+    """
+    if not isinstance(priors, Priors):
+        raise GraphError(
+            f"priors are made by masat.gps, masat.pose_priors and the like, got {type(priors)}"
+        )
+    if priors.dimension != dimension:
+        raise GraphError(f"the map is {dimension}D, and the priors are {priors.dimension}D")
+    if priors.offsets is not None:
+        raise GraphError(
+            "a map that grows takes no priors with sensor offsets: leave the lever arm out, or "
+            "solve the whole graph with masat.solve"
+        )
+    nodes = np.array([core.find(node) for node in priors.ids.tolist()], np.int32)
+    for unknown in priors.ids[nodes < 0][:1]:
+        raise GraphError(
+            f"a prior names node {unknown}, which has not been added: add it with add_pose",
+            node=int(unknown),
+        )
+    return nodes

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,12 @@ import numpy as np
 from masat import _core, lie
 from masat.arrays import AnyArray, Flags, Floats, Ids, locked
 from masat.neighbors import cycle_distances
+from masat.online.trusted import TrustedEdges
 from masat.quantiles import FAR_GATE, GATE
 from masat.robust.closures import REACH
 from masat.robust.growth import MIN_RATIO, ODDS_ALONE
 from masat.robust.prediction import log_volume
+from masat.robust.table import RELEASED
 
 CLOSURES = np.dtype(
     [
@@ -28,7 +31,7 @@ CLOSURES = np.dtype(
 )
 # Growth of the map after which its extent is measured again.
 _GROWTH = 1.05
-_NEW, _REMOVED, _KEPT, _FAR, _OPEN, _APART, _OUTVOTED = range(7)
+_NEW, _REMOVED, _KEPT, _FAR, _OPEN, _APART, _OUTVOTED, _SINGULAR, _RELEASED = range(9)
 _REASONS = np.array(
     [
         "not judged yet",
@@ -38,9 +41,12 @@ _REASONS = np.array(
         "undecided: as likely false as true",
         "undecided: nothing trusted connects its ends",
         "rejected in view of all closures",
+        "leaves a pose undetermined",
+        RELEASED,
     ],
     "U60",
 )
+STATES = len(_REASONS)
 
 
 def record_of(dimension: int) -> np.dtype[np.void]:
@@ -80,25 +86,25 @@ class Arrivals:
     """
 
     def __init__(self, dimension: int) -> None:
-        self._dof = dof = lie.DOF[dimension]
+        self._dof = lie.DOF[dimension]
+        self.trusted = TrustedEdges(dimension)
         self._rows: AnyArray = np.zeros(64, record_of(dimension))
         self._count = 0
         self._row_of: dict[int, int] = {}
         self._unjudged: list[int] = []
-        # Nodes that edges have reached, and those that the edges of this step are the first to.
-        self._reached: set[int] = set()
-        self._just_reached: list[int] = []
+        # Rows that are to be removed, to be checked, or to be judged when their ends are connected.
+        self._leaving: set[int] = set()
+        self._unchecked: list[int] = []
+        self._apart: list[int] = []
         # Undecided closures by the blocks of nodes in which their ends lie.
-        self._places: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
-        # Of each trusted edge the newer node and the information, not yet summed up.
-        self._trusted: list[tuple[int, Floats]] = []
-        self._along: Floats = np.zeros((0, dof))
-        self._kept = 0
+        self._blocks: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
+        # How many are edges of the map, and how many are not.
+        self._kept = self.doubted = 0
         # Logarithm of the volume that a false closure may be in, and the nodes that it is of.
         self._volume, self._nodes = 0.0, 0
 
     def __len__(self) -> int:
-        return self._count
+        return self._kept + self.doubted
 
     @property
     def rows(self) -> AnyArray:
@@ -115,16 +121,20 @@ class Arrivals:
         """Which of them are edges of the map."""
         return is_kept(self.rows)
 
-    @property
-    def doubted(self) -> int:
-        """How many are not believed."""
-        return self._count - self._kept
+    def judged(self) -> AnyArray:
+        """Return the closures that were there at the last update, as they were judged."""
+        rows: AnyArray = self.rows[self.present & (self.rows["state"] != _NEW)]
+        return rows
+
+    def rejected(self) -> Ids:
+        """Return the numbers of those that are no edges of the map."""
+        return np.asarray(self.rows["number"][self.present & ~self.kept])
 
     def copy(self) -> Arrivals:
         """Return closures that can be decided upon without changing these."""
         other = object.__new__(Arrivals)
         other.__dict__.update(self.__dict__)
-        other._rows = self._rows.copy()
+        other._rows, other._row_of = self._rows.copy(), self._row_of.copy()
         return other
 
     def table(self) -> AnyArray:
@@ -156,62 +166,88 @@ class Arrivals:
         numbers, ids, measurements, information : ndarray
             The edges.
         trusted : bool, optional
-            Whether all are trusted. Default: those that are the first of one of their nodes.
+            Whether all are trusted. Default: those with a node to which no trusted edge leads yet.
         """
         closures: list[int] = []
-        for k, pair in enumerate(ids.tolist()):
-            new = [i for i in pair if i not in self._reached]
-            self._reached.update(new)
-            self._just_reached += new
-            if not (new if trusted is None else trusted):
-                closures.append(k)
+        for k, (a, b) in enumerate(ids.tolist()):
+            first = not (self.trusted.reaches(a) and self.trusted.reaches(b))
+            if first if trusted is None else trusted:
+                newer = max(core.find(a), core.find(b))
+                self.trusted.add(int(numbers[k]), (a, b), newer, information[k])
             else:
-                self._trusted.append((max(map(core.find, pair)), information[k]))
+                closures.append(k)
         if not closures:
             return
         core.remove_edges(numbers[closures])
-        ends = [[core.find(i) for i in pair] for pair in ids[closures].tolist()]
-        self._add(
-            number=numbers[closures],
-            ids=ids[closures],
-            ends=ends,
-            measurement=measurements[closures],
-            information=information[closures],
-            state=_NEW,
-            distance=np.nan,
-            log_ratio=np.nan,
-        )
+        rows = np.zeros(len(closures), self._rows.dtype)
+        rows["number"], rows["ids"] = numbers[closures], ids[closures]
+        rows["ends"] = [[core.find(a), core.find(b)] for a, b in ids[closures].tolist()]
+        rows["measurement"], rows["information"] = measurements[closures], information[closures]
+        rows["distance"] = rows["log_ratio"] = np.nan
+        self._unjudged += self._append(rows)
 
     def restore(self, core: _core.OnlineMap, contents: dict[str, Any], rows: AnyArray) -> None:
         """Take over the closures of a file, with the contents of the map that it holds."""
-        self._rows, self._count = rows.copy(), len(rows)
-        self._kept = int(np.count_nonzero(self.kept))
-        self._row_of = {number: row for row, number in enumerate(rows["number"].tolist())}
-        self._reached = set(np.unique(np.append(contents["edges"], rows["ids"])).tolist())
-        trusted = ~np.isin(contents["edge_numbers"], rows["number"])
-        newer = core.find_all(contents["edges"][trusted].ravel()).reshape(-1, 2).max(axis=1)
-        self._trusted = list(zip(newer.tolist(), contents["information"][trusted], strict=True))
-        for row in np.flatnonzero(rows["state"] == _OPEN).tolist():
-            self._places[self._place(row)].append(row)
+        self._append(rows)
+        self._count_again()
+        state = rows["state"]
+        self._apart = np.flatnonzero(state == _APART).tolist()
+        for row in np.flatnonzero(state == _OPEN).tolist():
+            self._blocks[self._block(row)].append(row)
+        for k in np.flatnonzero(~np.isin(contents["edge_numbers"], rows["number"])).tolist():
+            a, b = contents["edges"][k].tolist()
+            newer = max(core.find(a), core.find(b))
+            number = int(contents["edge_numbers"][k])
+            self.trusted.add(number, (a, b), newer, contents["information"][k])
+        self.trusted.commit()
 
-    def _add(self, **columns: Any) -> None:
-        first, self._count = self._count, self._count + len(columns["number"])
+    def release(self, rows: dict[str, AnyArray], core: _core.OnlineMap) -> None:
+        """Take edges that were trusted as closures that are not believed."""
+        numbers, ids = rows["edge_numbers"], rows["edges"]
+        new = np.zeros(len(numbers), self._rows.dtype)
+        new["number"], new["ids"] = numbers, ids
+        new["ends"] = np.reshape([[core.find(a), core.find(b)] for a, b in ids.tolist()], (-1, 2))
+        new["measurement"], new["information"] = rows["measurements"], rows["information"]
+        new["state"] = _RELEASED
+        new["distance"] = new["log_ratio"] = np.nan
+        self._append(new)
+        self._count_again()
+
+    def _append(self, rows: AnyArray) -> list[int]:
+        """Append rows, and return their indices."""
+        first, self._count = self._count, self._count + len(rows)
         if self._count > len(self._rows):
             larger = np.zeros(2 * self._count, self._rows.dtype)
             larger[:first] = self._rows[:first]
             self._rows = larger
-        for name, values in columns.items():
-            self._rows[name][first : self._count] = values
-        rows = range(first, self._count)
-        self._row_of.update(zip(columns["number"].tolist(), rows, strict=True))
-        self._unjudged.extend(rows)
+        self._rows[first : self._count] = rows
+        indices = range(first, self._count)
+        self._row_of.update(zip(rows["number"].tolist(), indices, strict=True))
+        self.doubted += len(rows)
+        return list(indices)
+
+    def _count_again(self) -> None:
+        self._kept = int(np.count_nonzero(self.kept))
+        self.doubted = int(np.count_nonzero(self.present)) - self._kept
 
     def forget_new(self) -> None:
-        """Forget what the current step has added."""
+        """Forget what the current step has added and removed."""
         self._rows["state"][self._unjudged] = _REMOVED
+        self.doubted -= len(self._unjudged)
         self._unjudged.clear()
-        self._reached.difference_update(self._just_reached)
-        self._just_reached.clear()
+        self._leaving.clear()
+        self.trusted.forget()
+
+    def commit(self) -> None:
+        """Make what the current step has added and removed final."""
+        for row in self._leaving:
+            if self._rows["state"][row] == _KEPT:
+                self._kept -= 1
+            else:
+                self.doubted -= 1
+            self._rows["state"][row] = _REMOVED
+        self._leaving.clear()
+        self.trusted.commit()
 
     def edges(self, which: Flags) -> dict[str, AnyArray]:
         """Return closures, chosen by a mask, as the contents of a core's map name them."""
@@ -224,66 +260,93 @@ class Arrivals:
         }
 
     def find(self, number: int) -> int:
-        """Return the row of a closure that has not been removed, or -1."""
+        """Return the row of a closure that is not removed nor to be removed, or -1."""
         row = self._row_of.get(number, -1)
-        return row if row >= 0 and self._rows["state"][row] != _REMOVED else -1
+        gone = row < 0 or row in self._leaving or self._rows["state"][row] == _REMOVED
+        return -1 if gone else row
 
     def withheld(self, numbers: Ids) -> Flags:
         """Return which numbers are those of closures that are no edges of the map."""
-        rows = np.array([self.find(number) for number in numbers.tolist()], np.int64)
-        return np.asarray((rows >= 0) & (self._rows["state"][rows] != _KEPT))
+        rows = [self.find(number) for number in numbers.tolist()]
+        return np.array([row >= 0 and self._rows["state"][row] != _KEPT for row in rows], np.bool_)
 
     def remove(self, numbers: Ids) -> None:
-        """Remove closures; other numbers are passed over."""
-        for row in map(self.find, numbers.tolist()):
-            if row >= 0:
-                self._kept -= int(self._rows["state"][row] == _KEPT)
-                self._rows["state"][row] = _REMOVED
+        """Remove edges at the next `commit`; numbers of nothing are skipped."""
+        self._leaving.update(row for row in map(self.find, numbers.tolist()) if row >= 0)
+        self.trusted.remove(numbers.tolist())
 
     def judge(self, core: _core.OnlineMap) -> AnyArray:
         """Judge the new closures, and return the rows of those that are now believed."""
         new = [row for row in self._unjudged if self._rows["state"][row] == _NEW]
         self._unjudged.clear()
-        self._just_reached.clear()
+        new += self._connected_now(core)
         if not new:
             return self._rows[:0]
         rows = np.array(new)
         believed = self._predicted(rows, core)
-        undecided = rows[~believed & (self._rows["state"][rows] == _OPEN)]
+        state = self._rows["state"]
+        self._apart += rows[state[rows] == _APART].tolist()
+        undecided = rows[~believed & (state[rows] == _OPEN)]
         if len(undecided):
             supported = self._supported(undecided, core.poses())
             if len(supported):
                 again = self._predicted(supported, core, MIN_RATIO)
                 rows, believed = np.append(rows, supported), np.append(believed, again)
             for row in undecided.tolist():
-                self._places[self._place(row)].append(row)
+                self._blocks[self._block(row)].append(row)
         if not believed.any():
             return self._rows[:0]
         chosen = np.unique(rows[believed])
-        self._rows["state"][chosen] = _KEPT
+        state[chosen] = _KEPT
         self._kept += len(chosen)
+        self.doubted -= len(chosen)
+        self._unchecked += chosen.tolist()
         believed_rows: AnyArray = self._rows[chosen]
         return believed_rows
 
-    def drop_far(self, core: _core.OnlineMap, believed: AnyArray) -> Ids:
-        """Return the numbers of closures just believed that the map contradicts after all."""
-        chi2 = core.edge_chi2(np.ascontiguousarray(believed["number"]))
-        far = np.ascontiguousarray(believed["number"][chi2 > FAR_GATE[self._dof]])
-        self.reject(far, _FAR)
-        return far
+    def drop_far(self, core: _core.OnlineMap) -> Ids:
+        """Return the numbers of closures lately believed that the map contradicts after all."""
+        rows = [row for row in self._unchecked if self._rows["state"][row] == _KEPT]
+        self._unchecked.clear()
+        numbers = self._rows["number"][rows]
+        far = core.edge_chi2(numbers) > FAR_GATE[self._dof]
+        self._reject(np.array(rows, np.int64)[far], _FAR)
+        return np.asarray(numbers[far])
 
-    def reject(self, numbers: Ids, state: int = _OUTVOTED) -> None:
-        """Note that closures are no edges of the map any more."""
-        rows = [self._row_of[number] for number in numbers.tolist()]
+    def compare(self, core: _core.OnlineMap, believed: AnyArray) -> None:
+        """Reject closures just believed that could not become edges of the map."""
+        rows = [self._row_of[number] for number in believed["number"].tolist()]
+        self._reject(
+            np.array(
+                [row for row in rows if not core.has_edge(int(self._rows["number"][row]))],
+                np.int64,
+            ),
+            _SINGULAR,
+        )
+
+    def _reject(self, rows: Ids, state: int) -> None:
+        if len(rows) == 0:
+            return
         self._rows["state"][rows] = state
-        self._kept -= len(rows)
+        self._count_again()
 
     def decide(self, kept: Flags) -> None:
         """Take over a decision on all closures, (c,); what was removed stays so."""
         state = self.rows["state"]
         state[~kept & (state == _KEPT)] = _OUTVOTED
         state[kept & self.present] = _KEPT
-        self._kept = int(np.count_nonzero(self.kept))
+        self._count_again()
+
+    def _connected_now(self, core: _core.OnlineMap) -> list[int]:
+        """Return the closures whose ends nothing connected when they were judged."""
+        self._apart = [row for row in self._apart if self._rows["state"][row] == _APART]
+        if not self._apart:
+            return []
+        one, other = core.roots()[self._rows["ends"][self._apart]].T
+        joined = (one == other).tolist()
+        found = [row for row, is_joined in zip(self._apart, joined, strict=True) if is_joined]
+        self._apart = [row for row in self._apart if row not in found]
+        return found
 
     def _predicted(self, rows: Ids, core: _core.OnlineMap, needed: float | None = None) -> Flags:
         """Predict closures from the map, and return which are likely enough to be true."""
@@ -298,22 +361,29 @@ class Arrivals:
             # The more closures there are, the more likely a false one fits by chance.
             needed = float(np.log(max(self.doubted, 1))) + ODDS_ALONE
         within = distance < GATE[self._dof]
-        state = np.where(within, _OPEN, np.where(np.isnan(distance), _APART, _FAR))
+        state = np.where(within, _OPEN, _FAR)
+        if np.isnan(distance).any():
+            one, other = core.roots()[chosen["ends"]].T
+            state[one != other] = _APART
         self._rows["state"][rows] = state
         self._rows["distance"][rows], self._rows["log_ratio"][rows] = distance, ratio
         return np.asarray(within & (ratio > needed))
 
     def _supported(self, undecided: Ids, poses: Floats) -> Ids:
-        """Return the undecided closures that agree with new ones at their place, and these."""
+        """Return the undecided closures that agree with new ones of their place, and these."""
         pairs: list[tuple[int, int]] = []
         new = undecided.tolist()
         for k, row in enumerate(new):
-            a, b = self._place(row)
+            a, b = self._block(row)
             near = new[:k]
-            for i in (a - 1, a, a + 1):
-                for j in (b - 1, b, b + 1):
-                    near = near + self._places.get((i, j), [])
-            pairs += [(row, other) for other in near if self._rows["state"][other] == _OPEN]
+            for block in product((a - 1, a, a + 1), (b - 1, b, b + 1)):
+                if block in self._blocks:
+                    rows = self._blocks[block]
+                    rows[:] = [other for other in rows if self._rows["state"][other] == _OPEN]
+                    near = near + rows
+            # One that was sent twice does not support itself.
+            ends = self._rows["ends"][row].tolist()
+            pairs += [(row, other) for other in near if self._rows["ends"][other].tolist() != ends]
         if not pairs:
             return np.empty(0, np.int64)
         members, local = np.unique(np.array(pairs), return_inverse=True)
@@ -326,33 +396,15 @@ class Arrivals:
         one_place = (np.abs(ends[local[:, 0]] - ends[local[:, 1]]) <= REACH).all(axis=1)
         local = local[one_place]
         variances = np.einsum("kii->ki", np.linalg.inv(self._rows["information"][members]))
-        along = self._variance_along(len(poses))
+        along = self.trusted.variance_along(len(poses))
         agree = cycle_distances(local, ends, z, variances, poses, along) < GATE[self._dof]
         return np.asarray(members[np.unique(local[agree])])
 
     def _log_volume(self, core: _core.OnlineMap) -> float:
         if core.nodes() > _GROWTH * self._nodes:
-            self._nodes, self._volume = core.nodes(), log_volume(core.poses())
+            self._nodes, self._volume = core.nodes(), log_volume(core.poses()[1:])
         return self._volume
 
-    def _place(self, row: int) -> tuple[int, int]:
+    def _block(self, row: int) -> tuple[int, int]:
         a, b = sorted(self._rows["ends"][row].tolist())
         return a // REACH, b // REACH
-
-    def _variance_along(self, nodes: int) -> Floats:
-        """Return the sums of the variances of the trusted edges up to each node, (n, dof)."""
-        known = len(self._along)
-        if known < nodes:
-            steps = np.zeros((nodes, self._dof))
-            if self._trusted:
-                newer = np.array([each for each, _ in self._trusted])
-                variances = np.linalg.inv(np.array([w for _, w in self._trusted]))
-                # Nodes that could not be added are gone.
-                there = newer < nodes
-                every = np.einsum("kii->ki", variances[there])
-                np.maximum.at(steps, newer[there], every)
-            self._trusted.clear()
-            begin = self._along[-1:] if known else np.zeros((1, self._dof))
-            rest = begin + np.cumsum(steps[known:], axis=0)
-            self._along = np.concatenate([self._along, rest])
-        return self._along

@@ -14,9 +14,11 @@ from masat.arrays import AnyArray, Ids, Indices
 from masat.errors import FormatError
 from masat.files import DAMAGED, write_atomically
 from masat.graph import PoseGraph
-from masat.online.arrivals import is_kept, record_of
+from masat.measurements.priors import Priors, pose_priors
+from masat.online.arrivals import STATES, is_kept, record_of
+from masat.online.waiting_priors import record_of_priors
 
-_VERSION = 1
+_VERSION = 2
 _ARRAYS = {
     "ids": np.int64,
     "poses": np.float64,
@@ -26,6 +28,10 @@ _ARRAYS = {
     "edges": np.int64,
     "measurements": np.float64,
     "information": np.float64,
+    "prior_numbers": np.int64,
+    "prior_ids": np.int64,
+    "prior_measurements": np.float64,
+    "prior_information": np.float64,
 }
 
 
@@ -46,6 +52,7 @@ def write_map(
     }
     buffer = io.BytesIO()
     arrays = {name: contents[name] for name in _ARRAYS}
+    arrays["waiting"] = contents["waiting"]
     if closures is not None:
         arrays["closures"] = closures
     np.savez_compressed(buffer, about=np.array(json.dumps(about)), **arrays)
@@ -70,9 +77,12 @@ def read_map(path: Path) -> tuple[int, float, dict[str, Any], AnyArray | None]:
             }
             dimension, tolerance = int(about["dimension"]), float(about["tolerance"])
             contents["next_edge"] = int(about["next_edge"])
-            closures = arrays.get("closures")
-            if not _fits(dimension, tolerance, contents) or not _belong(
-                closures, dimension, contents
+            closures, waiting = arrays.get("closures"), arrays["waiting"]
+            contents["waiting"] = waiting
+            if not (
+                _fits(dimension, tolerance, contents)
+                and _are_closures(closures, dimension, contents)
+                and _are_waiting(waiting, dimension, contents)
             ):
                 raise FormatError("the arrays of the map do not fit each other", path)
     except DAMAGED as error:
@@ -82,53 +92,100 @@ def read_map(path: Path) -> tuple[int, float, dict[str, Any], AnyArray | None]:
     return dimension, tolerance, contents, closures
 
 
+def graph_of(contents: dict[str, Any]) -> PoseGraph:
+    """Return the graph of a map's contents."""
+    d = contents["poses"].shape[1]
+    priors = Priors(
+        contents["prior_ids"],
+        contents["prior_measurements"].reshape(-1, d),
+        contents["prior_information"],
+    )
+    return PoseGraph.from_arrays(
+        contents["edges"],
+        contents["measurements"].reshape(-1, d),
+        contents["information"],
+        ids=contents["ids"],
+        poses=contents["poses"],
+        priors=priors if len(priors) else None,
+    )
+
+
 def _fits(dimension: int, tolerance: float, c: dict[str, Any]) -> bool:
     """Tell whether the contents are those of a map; ValueErrors tell more."""
     n, size, dof = len(c["ids"]), lie.POSE_SIZE[dimension], lie.DOF[dimension]
-    numbers, roots = c["edge_numbers"], c["roots"]
+    roots, count, priors = c["roots"], len(c["edge_numbers"]), len(c["prior_numbers"])
     if c["poses"].shape != (n, size) or c["linearized"].shape != (n, size) or roots.shape != (n,):
         return False
-    if c["information"].shape != (len(numbers), dof, dof) or not 0 <= tolerance < 1:
+    if c["information"].shape != (count, dof, dof) or not 0 <= tolerance < 1:
         return False
-    in_range = (np.diff(numbers) > 0).all() and (numbers >= 0).all()
-    if not in_range or (numbers >= c["next_edge"]).any() or c["measurements"].shape[1] != size:
+    if c["measurements"].shape != (count, size) or c["prior_ids"].shape != (priors,):
+        return False
+    if c["prior_measurements"].shape != (priors, size):
+        return False
+    if c["prior_information"].shape != (priors, dof, dof):
+        return False
+    for numbers in (c["edge_numbers"], c["prior_numbers"]):
+        in_range = (numbers >= 0) & (numbers < c["next_edge"])
+        if not in_range.all() or (np.diff(numbers) <= 0).any():
+            return False
+    if np.isin(c["prior_numbers"], c["edge_numbers"]).any():
         return False
     if n == 0:
-        return len(numbers) == 0
-    for poses in (c["poses"], c["linearized"]):
-        PoseGraph.from_arrays(
-            c["edges"], c["measurements"], c["information"], ids=c["ids"], poses=poses
-        )
-    graph = PoseGraph.from_arrays(
-        c["edges"], c["measurements"], c["information"], ids=c["ids"], poses=c["poses"]
-    )
-    return bool((first_of_components(graph, c["ids"]) == roots).all())
+        return count == priors == 0
+    if priors:
+        pose_priors(c["prior_ids"], c["prior_measurements"], c["prior_information"])
+    graph_of(c | {"poses": c["linearized"]})
+    return bool((roots_of(graph_of(c), c["ids"]) == roots).all())
 
 
-def _belong(closures: AnyArray | None, dimension: int, c: dict[str, Any]) -> bool:
+def roots_of(graph: PoseGraph, ids: Ids) -> Indices:
+    """Return the fixed node of the component of each of a graph's ids, (n,).
+
+    It is given by its index among these, which are in the order in which they were added: the first
+    one of the component, or -1 for the world if the component has priors.
+    """
+    at = graph.index(ids)
+    components = graph.structure.components
+    tied = np.zeros(int(components.max(initial=0)) + 1, np.bool_)
+    if graph.priors is not None:
+        tied[components[graph.index(graph.priors.ids)]] = True
+    _, first, own = np.unique(components[at], return_index=True, return_inverse=True)
+    return np.where(tied[components[at]], -1, first[own]).astype(np.int32)
+
+
+def _are_waiting(rows: AnyArray, dimension: int, c: dict[str, Any]) -> bool:
+    """Tell whether these are priors that wait; ValueErrors tell more."""
+    if rows.dtype != record_of_priors(dimension) or rows.ndim != 1:
+        return False
+    if not ((rows["node"] > 0) & (rows["node"] <= len(c["ids"]))).all():
+        return False
+    if (c["ids"][rows["node"] - 1] != rows["id"]).any():
+        return False
+    if len(rows):
+        pose_priors(rows["id"], rows["measurement"], rows["information"])
+    known = np.concatenate([c["edge_numbers"], c["prior_numbers"]])
+    in_range = (rows["number"] >= 0) & (rows["number"] < c["next_edge"])
+    return bool(in_range.all() and not np.isin(rows["number"], known).any())
+
+
+def _are_closures(closures: AnyArray | None, dimension: int, c: dict[str, Any]) -> bool:
     """Tell whether closures are those of a map; ValueErrors tell more."""
     if closures is None:
         return True
     if closures.dtype != record_of(dimension) or closures.ndim != 1:
         return False
-    numbers, ends = closures["number"], closures["ends"]
+    if len(closures) == 0:
+        return True
+    numbers, ends, state = closures["number"], closures["ends"], closures["state"]
+    if not ((state >= 0) & (state < STATES)).all():
+        return False
     if (np.diff(numbers) <= 0).any() or not ((numbers >= 0) & (numbers < c["next_edge"])).all():
         return False
-    if not ((ends >= 0) & (ends < len(c["ids"]))).all():
+    if not ((ends > 0) & (ends <= len(c["ids"]))).all():
         return False
-    if (c["ids"][ends] != closures["ids"]).any():
+    if (c["ids"][ends - 1] != closures["ids"]).any():
         return False
     PoseGraph.from_arrays(
         closures["ids"], closures["measurement"], closures["information"], ids=c["ids"]
     )
     return bool((np.isin(numbers, c["edge_numbers"]) == is_kept(closures)).all())
-
-
-def first_of_components(graph: PoseGraph, ids: Ids) -> Indices:
-    """Return for each of the ids of a graph the index of the first one of its component, (n,).
-
-    That one is fixed, if the ids are in the order in which they were added.
-    """
-    components = graph.components[graph.index(ids)]
-    _, first, own = np.unique(components, return_index=True, return_inverse=True)
-    return first[own].astype(np.int32)

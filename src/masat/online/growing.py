@@ -18,13 +18,21 @@ from masat.arrays import AnyArray, Floats, Ids, Indices
 from masat.covariance import relative_from_blocks
 from masat.errors import GraphError, OptimizationError
 from masat.graph import PoseGraph
-from masat.online.additions import are_plain, checked_edges, checked_guess, checked_id
+from masat.measurements.priors import Priors
+from masat.online.additions import (
+    are_plain,
+    checked_edges,
+    checked_guess,
+    checked_id,
+    checked_priors,
+)
 from masat.online.arrivals import Arrivals
-from masat.online.files import read_map, write_map
+from masat.online.files import graph_of, read_map, write_map
 from masat.online.review import Found, Review, Snapshot, look_again, snapshot
 from masat.online.schedule import Schedule
-from masat.online.takeover import taken_over
+from masat.online.takeover import outcome_of
 from masat.online.update import Update
+from masat.online.waiting_priors import WaitingPriors
 from masat.optimizers import Result, optimize
 
 # Measured on seven public graphs (benchmarks/online.py): chi2 is then 1.5e-4 above the optimum of a
@@ -48,7 +56,7 @@ class OnlineMap:
     such a component: its first edge places it.
 
     One thread may change the map while any number of others read `poses`, `pose` and `ids`: they
-    get the state after the last complete update and never wait for one.
+    get a complete estimate, never a half-made one, and never wait for an update.
 
     If an update turns poses far, which may have led to a wrong minimum, the whole map is solved on
     another thread, from an initial guess of its own, while it grows on. So it is when many closures
@@ -108,11 +116,12 @@ class OnlineMap:
         self._core = _core.OnlineMap(self._dimension, self._tolerance)
         self._writing = threading.RLock()
         self._arrivals = Arrivals(self._dimension) if robust else None
+        self._waiting = WaitingPriors(self._dimension)
         self._schedule = Schedule()
         self._review: Review | None = None
 
     def __len__(self) -> int:
-        return self._core.nodes()
+        return self._core.nodes() - 1
 
     def __repr__(self) -> str:
         return f"OnlineMap({self._dimension}D, {len(self)} nodes, {self._core.edges()} edges)"
@@ -189,11 +198,14 @@ class OnlineMap:
         Raises
         ------
         GraphError
-            If an id is unknown, if an edge joins a node to itself, if numbers are not finite, or if
-            shapes do not fit. The map is unchanged, as after the next one.
+            If an id is unknown, if an edge joins a node to itself, if numbers are not finite, if
+            shapes do not fit, or if `trusted` is neither a bool nor None. The map is unchanged, as
+            after the next one.
         InformationError
             If information is not symmetric positive definite.
         """
+        if trusted is not None and not isinstance(trusted, bool | np.bool_):
+            raise GraphError(f"trusted must be True, False or None, got {trusted!r:.40}")
         with self._writing:
             first = self._core.next_edge()
             rows: tuple[Any, Any, Any] = edges, measurements, information
@@ -206,8 +218,44 @@ class OnlineMap:
                 self._arrivals.withhold(self._core, numbers, *rows, trusted=trusted)
             return numbers
 
+    def add_priors(self, priors: Priors) -> Ids:
+        """Add position fixes and other priors, which become part of the map at an `update`.
+
+        A part of the map that has no prior lies in a frame of its own. Its priors wait until they
+        determine where it lies in the world to about ten degrees. Then the part is moved onto them
+        as a whole, and none of its poses is fixed any more.
+
+        Parameters
+        ----------
+        priors : Priors
+            On poses that have been added, from `masat.gps` and the like, without sensor offsets.
+
+        Returns
+        -------
+        ndarray of int64, (p,)
+            Their numbers, by which `remove_edges` knows them: they are counted with the edges.
+
+        Raises
+        ------
+        GraphError
+            If a pose is unknown, if the priors are of another dimension, or if they have sensor
+            offsets. The map is unchanged.
+        """
+        with self._writing:
+            nodes = checked_priors(self._core, priors, self._dimension)
+            first = self._core.next_edge()
+            self._core.add_priors(nodes, priors.measurements, priors.information)
+            numbers = np.arange(first, self._core.next_edge())
+            self._waiting.withhold(self._core, numbers, nodes, priors)
+            return numbers
+
+    @property
+    def waiting_priors(self) -> Ids:
+        """The numbers of the priors that do not determine yet where their part of the map lies."""
+        return np.sort(self._waiting.rows["number"])
+
     def remove_edges(self, numbers: int | ArrayLike) -> None:
-        """Remove edges at the next `update`; nodes that lose all their edges remain.
+        """Remove edges or priors at the next `update`; nodes that lose all their edges remain.
 
         Where a component falls apart, the node of the new part that was added first is fixed at its
         pose.
@@ -215,7 +263,7 @@ class OnlineMap:
         Parameters
         ----------
         numbers : int or array_like of int, (k,)
-            Numbers of edges, as `add_edges` returned them.
+            Numbers of edges or priors, as `add_edges` and `add_priors` returned them.
 
         Raises
         ------
@@ -226,15 +274,16 @@ class OnlineMap:
         if wanted.ndim != 1:
             raise GraphError(f"numbers of edges must have shape (k,), got {wanted.shape}")
         with self._writing:
-            withheld = np.zeros(len(wanted), np.bool_)
+            withheld = self._waiting.withheld(wanted)
             if self._arrivals is not None:
-                withheld = self._arrivals.withheld(wanted)
+                withheld |= self._arrivals.withheld(wanted)
             twice = len(np.unique(wanted)) < len(wanted)
             if twice or not self._core.remove_edges(wanted[~withheld]):
                 for number in wanted[~withheld]:
                     if not self._core.has_edge(int(number)):
                         raise GraphError(f"the map has no edge {number}, or it is removed already")
                 raise GraphError("an edge is named twice among those to be removed")
+            self._waiting.remove(wanted[withheld])
             if self._arrivals is not None:
                 self._arrivals.remove(wanted)
 
@@ -245,8 +294,9 @@ class OnlineMap:
         ----------
         budget : float, optional
             Seconds after which nothing more is linearized again; the next update goes on with it.
-            What is new is always part of the estimate, and the estimate complete. Default: no
-            limit.
+            What is new is always part of the estimate, and the estimate complete. The outcome of a
+            review is taken over as soon as that needs no waiting, which may take longer than the
+            budget. Default: no limit.
 
         Returns
         -------
@@ -260,19 +310,33 @@ class OnlineMap:
             the last update is forgotten then, and the map is as before.
         """
         with self._writing:
-            begin = perf_counter()
-            try:
-                done = self._updated(budget)
-            except OptimizationError:
-                if self._arrivals is not None:
-                    self._arrivals.forget_new()
-                raise
-            if self._arrivals is not None:
-                left = None if budget is None else max(budget - (perf_counter() - begin), 0.0)
-                done = self._with_judged(self._arrivals, done, left)
-            self._schedule.count(done.turned)
-            self._look_after_reviews()
+            done = self._advanced(budget)
+            if self._review is None:
+                self._begin_review()
+            elif self._schedule.steps >= self._review.due and (
+                budget is None or self._review.is_ready
+            ):
+                done = done.followed_by(self._end_review() or done)
             return done
+
+    def _advanced(self, budget: float | None) -> Update:
+        """Bring the map up to date, whatever a review may say."""
+        begin = perf_counter()
+        try:
+            done = self._updated(budget)
+            if self._waiting.release(self._core):
+                done = done.followed_by(self._updated(budget))
+        except OptimizationError:
+            self._waiting.forget_new()
+            if self._arrivals is not None:
+                self._arrivals.forget_new()
+            raise
+        if self._arrivals is not None:
+            self._arrivals.commit()
+            left = None if budget is None else max(budget - (perf_counter() - begin), 0.0)
+            done = self._with_judged(self._arrivals, done, left)
+        self._schedule.count(done.turned)
+        return done
 
     def _updated(self, budget: float | None) -> Update:
         try:
@@ -290,29 +354,26 @@ class OnlineMap:
     def _with_judged(self, arrivals: Arrivals, done: Update, budget: float | None) -> Update:
         """Judge the closures that have just arrived, and add those that are believed."""
         believed = arrivals.judge(self._core)
-        if len(believed) == 0:
-            return done
-        numbers, ids, z, w = (
-            np.ascontiguousarray(believed[name])
-            for name in ("number", "ids", "measurement", "information")
-        )
-        self._core.add_edges(ids, z, w, numbers)
-        try:
-            done = done.followed_by(self._updated(budget))
-            far = arrivals.drop_far(self._core, believed)
+        if len(believed):
+            number, ids, z, w = (
+                np.ascontiguousarray(believed[name])
+                for name in ("number", "ids", "measurement", "information")
+            )
+            self._core.add_edges(ids, z, w, number)
+            try:
+                done = done.followed_by(self._updated(budget))
+            except OptimizationError:
+                arrivals.compare(self._core, believed)
+        # For lack of time a true closure may not fit yet.
+        if done.complete:
+            far = arrivals.drop_far(self._core)
             if len(far):
                 self._core.remove_edges(far)
                 done = done.followed_by(self._updated(budget))
-        except OptimizationError:
-            arrivals.reject(numbers)
         return done
 
-    def _look_after_reviews(self) -> None:
-        """Begin a review of the whole map, or take over its outcome, if it is time."""
-        if self._review is not None:
-            if self._schedule.steps >= self._review.due:
-                self._end_review()
-            return
+    def _begin_review(self) -> None:
+        """Begin a review of the whole map, if it is time."""
         if self._schedule.is_time(len(self), self._doubted):
             due = self._schedule.begin(len(self), self._doubted)
             self._review = Review(self._snapshot(), due)
@@ -321,43 +382,60 @@ class OnlineMap:
     def _doubted(self) -> int:
         return 0 if self._arrivals is None else self._arrivals.doubted
 
-    def _end_review(self) -> None:
+    def _end_review(self) -> Update | None:
+        """Take over the outcome of the review, if there is one."""
         review, self._review = self._review, None
-        if review is not None:
-            self._take_over(review.seen, review.outcome())
+        return None if review is None else self._take_over(review.seen, review.outcome())
 
     def _snapshot(self) -> Snapshot:
         contents, arrivals = self._core.contents(), self._arrivals
         if arrivals is None:
             return snapshot(contents)
-        open_ = arrivals.edges(arrivals.present & ~arrivals.kept)
-        return snapshot(contents, open_, arrivals.rows["number"])
+        left_out = arrivals.edges(arrivals.present & ~arrivals.kept)
+        return snapshot(contents, left_out, arrivals.rows["number"])
 
-    def _take_over(self, seen: Snapshot, found: Found) -> None:
-        """Make the map that a review found, if it found another one."""
+    def _take_over(self, seen: Snapshot, found: Found) -> Update | None:
+        """Make the map that a review found, if it is another one and can be made."""
         decision = found.decision
         changed = 0 if decision is None else np.count_nonzero(decision.kept != seen.believed)
         self._schedule.end(int(changed), 0 if self._arrivals is None else len(self._arrivals))
         if found.poses is None:
-            return
+            return None
+        before, arrivals_before = self._core, self._arrivals
+        contents, arrivals = outcome_of(before, arrivals_before, seen, found)
+        same_edges = (
+            len(contents["edge_numbers"]) == before.edges() - len(contents["prior_numbers"])
+            and not changed
+        )
         core = _core.OnlineMap(self._dimension, self._tolerance)
-        arrivals = None if self._arrivals is None else self._arrivals.copy()
         try:
-            core.fill(**taken_over(self._core, arrivals, seen, found))
-            core.update(_NO_BUDGET)
+            core.fill(**contents)
+            core.start_from(contents["poses"])
+            done = Update(*core.update(_NO_BUDGET))
         except _core.UndeterminedError:
-            return
+            return None
+        if same_edges and core.exact_chi2() >= before.exact_chi2():
+            # It was better when the review began.
+            return None
         self._core, self._arrivals = core, arrivals
+        if not done.complete:
+            try:
+                result = self._to_optimum()
+            except OptimizationError:
+                self._core, self._arrivals = before, arrivals_before
+                return None
+            done = done._replace(chi2=result.chi2, complete=result.converged)
+        return done._replace(turned=0.0)
 
     @property
     def ids(self) -> Ids:
         """Ids of the poses, (n,), in the order in which they were added."""
-        return self._core.ids()
+        return self._core.ids()[1:]
 
     @property
     def poses(self) -> Floats:
         """The poses after the last update, (n, 3) or (n, 7), in the order of `ids`; a copy."""
-        return self._core.poses()
+        return self._core.poses()[1:]
 
     def pose(self, node: int) -> Floats:
         """Return one pose after the last update, (3,) or (7,); an unknown id is a GraphError."""
@@ -443,14 +521,14 @@ class OnlineMap:
     @property
     def rejected(self) -> Ids:
         """The numbers of the loop closures that are not part of the map, ascending."""
-        table = self.closures
-        return np.asarray(table["edge"][~table["kept"]])
+        with self._writing:
+            return np.empty(0, np.int64) if self._arrivals is None else self._arrivals.rejected()
 
     def graph(self) -> PoseGraph:
         """Return the map after the last update as an immutable graph with poses.
 
         Its edges are in the order of their numbers, and its gauge-fixed nodes are those of the map.
-        A robust map has the edges that are believed.
+        It has the edges that are believed, and the priors that do not wait.
 
         Raises
         ------
@@ -462,14 +540,8 @@ class OnlineMap:
         ids: Ids = contents["ids"]
         if len(ids) == 0:
             raise GraphError("the map is empty: add poses, and update it")
-        graph = PoseGraph.from_arrays(
-            contents["edges"],
-            contents["measurements"].reshape(-1, lie.POSE_SIZE[self._dimension]),
-            contents["information"],
-            ids=ids,
-            poses=contents["poses"],
-        )
-        return graph.with_root(ids[np.unique(contents["roots"])])
+        roots = np.unique(contents["roots"])
+        return graph_of(contents).with_root(ids[roots[roots >= 0]])
 
     def optimize(self) -> Result:
         """Take the map to the optimum that `masat.optimize` finds from its poses.
@@ -491,9 +563,9 @@ class OnlineMap:
             As of `update`, which is called first.
         """
         with self._writing:
-            self.update()
+            self._advanced(None)
             self._end_review()
-            if self._arrivals is None and not self._schedule.has_turned:
+            if not self._schedule.has_turned and (self._arrivals is None or not self._arrivals):
                 return self._to_optimum()
             seen = self._snapshot()
             self._schedule.begin(len(self), self._doubted)
@@ -515,8 +587,8 @@ class OnlineMap:
         """Write the map after the last update to an .npz file, whole or not at all."""
         with self._writing:
             contents = self._core.contents()
-            arrivals = self._arrivals
-            closures = None if arrivals is None else arrivals.rows[arrivals.present]
+            closures = None if self._arrivals is None else self._arrivals.judged()
+            contents["waiting"] = self._waiting.rows
         write_map(Path(path), self._dimension, self._tolerance, contents, closures)
 
     @classmethod
@@ -530,13 +602,14 @@ class OnlineMap:
         """
         dimension, tolerance, contents, closures = read_map(Path(path))
         out = cls(dimension, tolerance=tolerance, robust=closures is not None)
+        out._waiting.restore(contents.pop("waiting"))
         try:
             out._core.fill(**contents)
         except _core.UndeterminedError as error:
             raise _undetermined(error, "the file cannot be used") from None
         if out._arrivals is not None and closures is not None:
             out._arrivals.restore(out._core, contents, closures)
-            out._schedule.begin(len(out), out._arrivals.doubted)
+        out._schedule.begin(len(out), out._doubted)
         return out
 
     def _indices(self, ids: ArrayLike, ndim: int) -> Indices:

@@ -8,11 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from masat import lie
-from masat.arrays import AnyArray, Flags, Floats, Ids
+from masat.arrays import AnyArray, Flags, Floats, Ids, Indices
+from masat.assembly import needs_assembly
 from masat.errors import MasatError
 from masat.graph import PoseGraph
-from masat.initializers.auto import auto
+from masat.initializers import guess_of
+from masat.online.files import graph_of, roots_of
 from masat.optimality.best import best_minimum
+from masat.optimizers import optimize
 from masat.optimizers.equations import normal_equations
 from masat.robust import decide
 from masat.robust.decision import Decision
@@ -38,6 +41,8 @@ class Snapshot(NamedTuple):
         Which edges are part of the map.
     numbers : ndarray of int64, (m,)
         The numbers of the edges, ascending.
+    prior_numbers : ndarray of int64, (p,)
+        The numbers of the priors.
     """
 
     graph: PoseGraph
@@ -46,6 +51,7 @@ class Snapshot(NamedTuple):
     trusted: Flags | None
     believed: Flags
     numbers: Ids
+    prior_numbers: Ids
 
 
 class Found(NamedTuple):
@@ -57,10 +63,13 @@ class Found(NamedTuple):
         Better poses, in the order of the snapshot; None if there are none.
     decision : Decision or None
         Which edges of the graph to believe.
+    roots : ndarray of int32, (n,), or None
+        Index of the node that stayed where it was, of each one's component; -1 if priors tie it.
     """
 
     poses: Floats | None
     decision: Decision | None
+    roots: Indices | None = None
 
 
 def snapshot(
@@ -80,47 +89,60 @@ def snapshot(
         The numbers of all edges that are not trusted.
     """
     parts = [contents] if withheld is None else [contents, withheld]
-    numbers, edges, measurements, information = (
-        np.concatenate([part[name] for part in parts])
-        for name in ("edge_numbers", "edges", "measurements", "information")
+    names = ("edge_numbers", "edges", "measurements", "information")
+    every = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    order = np.argsort(every["edge_numbers"], kind="stable")
+    every = {name: values[order] for name, values in every.items()}
+    numbers = every["edge_numbers"]
+    return Snapshot(
+        graph_of(contents | every),
+        contents["ids"],
+        contents["poses"],
+        None if doubtful is None else ~np.isin(numbers, doubtful),
+        np.isin(numbers, contents["edge_numbers"]),
+        numbers,
+        contents["prior_numbers"],
     )
-    order = np.argsort(numbers, kind="stable")
-    numbers = numbers[order]
-    graph = PoseGraph.from_arrays(
-        edges[order],
-        measurements[order],
-        information[order],
-        ids=contents["ids"],
-        poses=contents["poses"],
-    )
-    trusted = None if doubtful is None else ~np.isin(numbers, doubtful)
-    believed = np.isin(numbers, contents["edge_numbers"])
-    return Snapshot(graph, contents["ids"], contents["poses"], trusted, believed, numbers)
 
 
 def look_again(seen: Snapshot) -> Found:
     """Decide on the edges of a map, and look for a better minimum of chi2."""
     graph, decision, is_same = seen.graph, None, True
     if seen.trusted is None:
-        found = auto(graph)
+        found = guess_of(graph, "auto")
     else:
         decision = decide(graph, seen.trusted, believed=seen.believed, threads=1)
-        is_same = bool((decision.kept == seen.believed).all())
+        is_same = bool((decision.kept == seen.believed).all() and decision.kept_priors.all())
         graph = decision.believed(graph)
-        guess = graph.with_poses(decision.poses)
-        found = guess.with_poses(best_minimum(guess, equations=normal_equations(guess, 1)).poses)
+        found = graph.with_poses(decision.poses)
+        if needs_assembly(found):
+            found = optimize(found).graph
+        else:
+            equations = normal_equations(found, 1)
+            found = found.with_poses(best_minimum(found, equations=equations).poses)
     if is_same and not found.chi2 < graph.chi2 * (1 - _LOWER):
         return Found(None, decision)
     assert found.poses is not None
-    return Found(_in_frame(found.poses[found.index(seen.ids)], found, seen), decision)
+    roots = roots_of(found, seen.ids)
+    return Found(in_frame(found.poses[found.index(seen.ids)], roots, seen.poses), decision, roots)
 
 
-def _in_frame(poses: Floats, found: PoseGraph, seen: Snapshot) -> Floats:
-    """Return poses moved so that the first node of each component is where it was."""
-    component = found.components[found.index(seen.ids)]
-    _, first = np.unique(component, return_index=True)
-    motion = lie.compose(seen.poses[first], lie.inverse(poses[first]))
-    return lie.compose(motion[component], poses)
+def in_frame(poses: Floats, roots: Indices, before: Floats) -> Floats:
+    """Return poses moved so that the root of each component without priors is where it was.
+
+    Parameters
+    ----------
+    poses : ndarray, (n, 3) or (n, 7)
+    roots : ndarray of int, (n,)
+        The index of the root of each one's component; -1 where priors tie it to the world.
+    before : ndarray, (k, 3) or (k, 7)
+        Where the first nodes were, all roots among them.
+    """
+    free = roots >= 0
+    motion = lie.compose(before[roots[free]], lie.inverse(poses[roots[free]]))
+    out = poses.copy()
+    out[free] = lie.compose(motion, poses[free])
+    return out
 
 
 class Review:
@@ -138,7 +160,8 @@ class Review:
         self.seen, self.due = seen, due
         self._found: Found | None = None
         self._failed: BaseException | None = None
-        self._thread = threading.Thread(target=self._look, daemon=True)
+        # No daemon: the interpreter must not end while the core is at work.
+        self._thread = threading.Thread(target=self._look, daemon=False)
         self._thread.start()
 
     def _look(self) -> None:
@@ -149,6 +172,11 @@ class Review:
             self._found = Found(None, None)
         except BaseException as error:
             self._failed = error
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether `outcome` would not wait."""
+        return not self._thread.is_alive()
 
     def outcome(self) -> Found:
         """Wait for the end, and return what was found."""

@@ -23,10 +23,13 @@ class Step(NamedTuple):
         The id of the new pose.
     edges : ndarray of int64, (k,)
         Indices of its edges to earlier poses, odometry first.
+    priors : ndarray of int64, (p,)
+        Indices of its priors.
     """
 
     node: int
     edges: Ids
+    priors: Ids
 
 
 class Replay(NamedTuple):
@@ -53,16 +56,20 @@ def steps(graph: PoseGraph) -> Iterator[Step]:
     Raises
     ------
     GraphError
-        If the graph has priors or landmarks, which a map that grows does not hold yet.
+        If the graph has landmarks, which a map that grows does not hold yet.
     """
-    if graph.priors is not None or graph.landmarks is not None:
-        raise GraphError("a map that grows holds no priors and no landmarks yet: leave them out")
+    if graph.landmarks is not None:
+        raise GraphError("a map that grows holds no landmarks yet: leave them out")
     ends = graph.edge_indices
     newer, gap = ends.max(axis=1), np.abs(np.diff(ends, axis=1))[:, 0]
     order = np.lexsort((gap != 1, newer))
     begin = np.searchsorted(newer[order], np.arange(len(graph) + 1))
+    priors: dict[int, list[int]] = {}
+    for row, node in enumerate([] if graph.priors is None else graph.priors.ids.tolist()):
+        priors.setdefault(node, []).append(row)
     for k, node in enumerate(graph.ids.tolist()):
-        yield Step(node, order[begin[k] : begin[k + 1]].astype(np.int64))
+        edges = order[begin[k] : begin[k + 1]].astype(np.int64)
+        yield Step(node, edges, np.array(priors.get(node, []), np.int64))
 
 
 def replay(
@@ -94,13 +101,15 @@ def replay(
     online = OnlineMap(graph.dimension, tolerance=tolerance, robust=robust)
     numbers = np.zeros(len(graph.edges), np.int64)
     seconds = np.zeros(len(graph))
-    for k, (node, edges) in enumerate(steps(graph)):
+    for k, (node, edges, priors) in enumerate(steps(graph)):
         start = perf_counter()
         online.add_pose(node)
         if len(edges):
             numbers[edges] = online.add_edges(
                 graph.edges[edges], graph.measurements[edges], graph.information[edges]
             )
+        if len(priors) and graph.priors is not None:
+            online.add_priors(graph.priors.rows(priors))
         online.update(budget)
         _ = online.poses
         seconds[k] = perf_counter() - start

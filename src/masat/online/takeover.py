@@ -7,64 +7,69 @@ from typing import Any
 import numpy as np
 
 from masat import _core, lie
-from masat.arrays import Floats, Ids
-from masat.graph import PoseGraph
+from masat.arrays import Ids
 from masat.online.arrivals import Arrivals
-from masat.online.files import first_of_components
-from masat.online.review import Found, Snapshot
+from masat.online.files import graph_of, roots_of
+from masat.online.review import Found, Snapshot, in_frame
 
 _EDGES = ("edge_numbers", "edges", "measurements", "information")
 
+_PRIORS = ("prior_numbers", "prior_ids", "prior_measurements", "prior_information")
 
-def taken_over(
+
+def outcome_of(
     core: _core.OnlineMap, arrivals: Arrivals | None, seen: Snapshot, found: Found
-) -> dict[str, Any]:
-    """Return the contents of a core's map after a review, and take over what it decided.
+) -> tuple[dict[str, Any], Arrivals | None]:
+    """Return the contents of a core's map after a review, and its closures as they are then.
 
     Parameters
     ----------
     core : OnlineMap
         The map now.
     arrivals : Arrivals, optional
-        Its closures. Those that have arrived since are as they were judged.
+        Its closures. Those that have arrived since the review began are as they were judged.
     seen, found : Snapshot, Found
         What was reviewed, and what was found.
     """
     contents = core.contents()
     if arrivals is None or found.decision is None:
-        return _with_poses(contents, found.poses)
-    before, kept = arrivals.kept, arrivals.kept
-    numbers = arrivals.rows["number"]
-    at = np.searchsorted(seen.numbers, numbers).clip(max=max(len(seen.numbers) - 1, 0))
-    known = seen.numbers[at] == numbers
-    kept[known] = found.decision.kept[at[known]]
-    kept &= arrivals.present
-    stays = ~np.isin(contents["edge_numbers"], numbers[before & ~kept])
+        return _with_poses(contents, found), arrivals
+    arrivals, kept_then = arrivals.copy(), found.decision.kept
+    assert seen.trusted is not None
+    numbers = contents["edge_numbers"]
+    released = np.isin(numbers, seen.numbers[seen.trusted & ~kept_then])
+    arrivals.release({name: contents[name][released] for name in _EDGES}, core)
+    rows = arrivals.rows["number"]
+    before = arrivals.kept
+    at = np.searchsorted(seen.numbers, rows).clip(max=max(len(seen.numbers) - 1, 0))
+    kept = np.where(seen.numbers[at] == rows, kept_then[at], before) & arrivals.present
+    stays = ~np.isin(numbers, rows[~kept])
     new = arrivals.edges(kept & ~before)
+    arrivals.decide(kept)
     edges = {name: np.concatenate([contents[name][stays], new[name]]) for name in _EDGES}
     order = np.argsort(edges["edge_numbers"], kind="stable")
-    arrivals.decide(kept)
     contents |= {name: np.ascontiguousarray(edges[name][order]) for name in _EDGES}
-    return _with_poses(contents, found.poses)
+    rejected = seen.prior_numbers[~found.decision.kept_priors]
+    priors = ~np.isin(contents["prior_numbers"], rejected)
+    contents |= {name: np.ascontiguousarray(contents[name][priors]) for name in _PRIORS}
+    return _with_poses(contents, found), arrivals
 
 
-def _with_poses(contents: dict[str, Any], poses: Floats | None) -> dict[str, Any]:
-    """Return contents with other poses of the first nodes; later ones move with their neighbors."""
+def _with_poses(contents: dict[str, Any], found: Found) -> dict[str, Any]:
+    """Return contents with what was found as poses; later nodes move with their neighbors."""
     ids: Ids = contents["ids"]
-    graph = PoseGraph.from_arrays(*(contents[name] for name in _EDGES[1:]), ids=ids)
+    graph = graph_of(contents)
     old = contents["poses"]
     moved = old.copy()
-    if poses is not None:
-        moved[: len(poses)] = poses
+    if found.poses is not None and found.roots is not None:
+        # A component may have been moved as a whole since.
+        first = in_frame(found.poses, found.roots, old)
+        moved[: len(first)] = first
         added = np.argsort(graph.index(ids))
         older, newer = np.sort(added[graph.edge_indices], axis=1).T
-        for k in range(len(poses), len(moved)):
+        for k in range(len(first), len(moved)):
             # Most nodes were added to an older one.
             to = older[newer == k][:1]
             if len(to):
                 moved[k] = lie.compose(moved[to], lie.between(old[to], old[k : k + 1]))[0]
-    return contents | {
-        "poses": moved,
-        "linearized": moved,
-        "roots": first_of_components(graph, ids),
-    }
+    return contents | {"poses": moved, "linearized": moved, "roots": roots_of(graph, ids)}
