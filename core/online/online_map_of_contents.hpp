@@ -72,7 +72,7 @@ void OnlineMapOf<Group>::fill(const MapContents& contents) {
   const auto count = static_cast<std::int32_t>(contents.ids.size());
   for (std::int32_t i = 0; i < count; ++i) {
     const double* const base = contents.bases.data() + std::int64_t{i} * kSize;
-    add_node(contents.ids[i], base);
+    if (!add_node(contents.ids[i], base)) throw std::invalid_argument("a pose of the map");
     const Group pose = Group::load(contents.poses.data() + std::int64_t{i} * kSize);
     graph_.step(i) = error(Group{}, graph_.place(i).linearized, pose);
     graph_.place(i).pose = pose;

@@ -67,6 +67,7 @@ StepSummary OnlineMapOf<Group>::update(double budget) {
     if (factor_.anything_touched()) solve(reference(std::min(state_.chi2, graph_.chi2())), summary);
     settle(deadline, budget < kUnlimited, summary);
     if (Clock::now() < deadline) reorder_if_worthwhile(summary);
+    require_finite_chi2();
   } catch (const SingularAt& at) {
     const std::int64_t id = ids_[at.node];
     roll_back();
@@ -244,6 +245,21 @@ double OnlineMapOf<Group>::reference(double chi2) const {
   return std::max(chi2, kNegligible * numbers);
 }
 
+// Huge measurements or information lead to poses and sums that are not finite.
+template <LieGroup Group>
+void OnlineMapOf<Group>::require_finite_chi2() {
+  if (std::isfinite(graph_.chi2())) return;
+  graph_.sum_again();  // an edge that has been removed since may have been the reason
+  if (std::isfinite(graph_.chi2())) return;
+  std::int32_t largest = -1;
+  for (std::int32_t slot = 0; slot < graph_.edge_slots(); ++slot) {
+    if (graph_.edge(slot).from < 0) continue;
+    if (largest < 0 || !(graph_.edge(slot).chi2 <= graph_.edge(largest).chi2)) largest = slot;
+    if (!std::isfinite(graph_.edge(slot).chi2)) break;
+  }
+  throw SingularAt(graph_.edge(largest).from);
+}
+
 template <LieGroup Group>
 void OnlineMapOf<Group>::publish() {
   const std::lock_guard<std::mutex> lock(mutex_);
@@ -252,6 +268,7 @@ void OnlineMapOf<Group>::publish() {
   for (const std::int32_t i : moved_) {
     graph_.place(i).pose.store(state_.poses.data() + std::int64_t{i} * kSize);
   }
+  state_.edges = graph_.edge_count();
   state_.chi2 = graph_.chi2();
 }
 
@@ -283,6 +300,15 @@ void OnlineMapOf<Group>::roll_back() {
     graph_.place(i).pose = Group::load(state_.poses.data() + std::int64_t{i} * kSize);
   }
   start_at_poses();
+  // Covariances can be read before the next step.
+  try {
+    factor_.drop(graph_);
+    factor_.eliminate(graph_);
+  } catch (const SingularAt&) {
+    factor_ = GrowingFactor<Group>();
+    resize();
+  }
+  for (std::int32_t i = 0; i < graph_.size(); ++i) factor_.touch(i);
 }
 
 // Linearizes all edges at the current poses; the next step factorizes everything.

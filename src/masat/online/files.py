@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from masat import _checks as checks
 from masat import lie
 from masat.errors import FormatError
 from masat.files import DAMAGED, write_atomically
@@ -72,14 +73,26 @@ def read_map(path: Path) -> tuple[int, float, dict[str, Any]]:
 def _fits(dimension: int, tolerance: float, c: dict[str, Any]) -> bool:
     """Tell whether the contents are those of a map; ValueErrors tell more."""
     n, size, dof = len(c["ids"]), lie.POSE_SIZE[dimension], lie.DOF[dimension]
-    numbers, roots = c["edge_numbers"], c["roots"]
-    if c["poses"].shape != (n, size) or c["linearized"].shape != (n, size) or roots.shape != (n,):
-        return False
-    if c["information"].shape != (len(numbers), dof, dof) or not 0 <= tolerance < 1:
+    m, numbers = len(c["edge_numbers"]), c["edge_numbers"]
+    shapes = {
+        "ids": (n,),
+        "poses": (n, size),
+        "linearized": (n, size),
+        "roots": (n,),
+        "edge_numbers": (m,),
+        "edges": (m, 2),
+        "measurements": (m, size),
+        "information": (m, dof, dof),
+    }
+    if any(c[name].shape != shape for name, shape in shapes.items()) or not 0 <= tolerance < 1:
         return False
     in_range = (np.diff(numbers) > 0).all() and (numbers >= 0).all()
-    if not in_range or (numbers >= c["next_edge"]).any() or c["measurements"].shape[1] != size:
+    if not in_range or (numbers >= c["next_edge"]).any():
         return False
+    # The core takes quaternions only if their length is 1 up to rounding.
+    for name in ("poses", "linearized"):
+        checks.rotations(c[name], name, c["ids"], "node")
+    checks.rotations(c["measurements"], "measurement", c["edges"], "edge")
     if n == 0:
         return len(numbers) == 0
     for poses in (c["poses"], c["linearized"]):
@@ -92,4 +105,4 @@ def _fits(dimension: int, tolerance: float, c: dict[str, Any]) -> bool:
     )
     labels = graph.components[graph.index(c["ids"])]
     _, first, of_label = np.unique(labels, return_index=True, return_inverse=True)
-    return bool((first[of_label] == roots).all())
+    return bool((first[of_label] == c["roots"]).all())
