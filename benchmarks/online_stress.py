@@ -275,8 +275,8 @@ class Writer:
 
     def update(self) -> None:
         """Update with or without a budget, and compare the map with the account."""
-        budget = self.random.choice([None, None, 0.0, 1e-4, 1e-2])
-        done = self.world.update(None if budget is None else float(budget))
+        budgets = (None, None, 0.0, 1e-4, 1e-2)
+        done = self.world.update(budgets[self.random.integers(len(budgets))])
         assert np.isfinite(done.chi2)
         self.commit()
 
