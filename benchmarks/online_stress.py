@@ -28,7 +28,7 @@ from masat import lie
 from masat.arrays import Floats
 
 # A map of the default tolerance may exceed the batch optimum by this fraction of chi2, and by this
-# much for each edge where measurements agree nearly exactly.
+# much for each edge where measurements agree nearly exactly. Seed 1 in 3D misses it.
 MAX_EXCESS, NEGLIGIBLE = 1e-2, 1e-6
 
 
@@ -139,10 +139,12 @@ def check_covariances(matrices: Floats) -> None:
 class Writer:
     """Random operations on a map, beside a plain account of what it must hold."""
 
-    def __init__(self, dimension: int, seed: int, readers: Readers, most_nodes: int = 150) -> None:
+    def __init__(
+        self, dimension: int, seed: int, readers: Readers, most_nodes: int, max_excess: float
+    ) -> None:
         self.dimension, self.dof = dimension, lie.DOF[dimension]
         self.random = np.random.default_rng(seed)
-        self.readers, self.most_nodes = readers, most_nodes
+        self.readers, self.most_nodes, self.max_excess = readers, most_nodes, max_excess
         self.counts: Counter[str] = Counter()
         self.folder = tempfile.TemporaryDirectory()
         self.start()
@@ -349,7 +351,7 @@ class Writer:
         self.check_contents()
         graph = self.world.graph()
         best = masat.optimize(graph, relative_tolerance=1e-13).chi2
-        bound = best * (1 + MAX_EXCESS) + NEGLIGIBLE * len(graph.edges)
+        bound = best * (1 + self.max_excess) + NEGLIGIBLE * len(graph.edges)
         assert self.world.chi2 <= bound, f"chi2 {self.world.chi2}, the batch solver's is {best}"
 
     def save_and_load(self) -> None:
@@ -365,12 +367,18 @@ class Writer:
 
 
 def stress(
-    dimension: int, operations: int, seed: int, *, readers: int = 3, most_nodes: int = 150
+    dimension: int,
+    operations: int,
+    seed: int,
+    *,
+    readers: int = 3,
+    most_nodes: int = 150,
+    max_excess: float = MAX_EXCESS,
 ) -> tuple[Counter[str], int]:
     """Do random operations; return how many of each kind, and the number of reads beside them."""
     threads = Readers(readers)
     try:
-        writer = Writer(dimension, seed, threads, most_nodes)
+        writer = Writer(dimension, seed, threads, most_nodes, max_excess)
         for _ in range(operations):
             writer.step()
             if threads.errors:
@@ -388,6 +396,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--readers", type=int, default=3)
     parser.add_argument("--nodes", type=int, default=150, help="before another map is begun")
+    parser.add_argument("--excess", type=float, default=MAX_EXCESS, help="over the batch chi2")
     options = parser.parse_args()
     for dimension in (2, 3):
         begin = perf_counter()
@@ -397,6 +406,7 @@ def main() -> None:
             options.seed,
             readers=options.readers,
             most_nodes=options.nodes,
+            max_excess=options.excess,
         )
         print(f"{dimension}D: {perf_counter() - begin:.1f} s, {reads} reads beside the writer")
         for name, count in counts.most_common():

@@ -10,11 +10,3 @@ def test_random_operations_beside_readers_on_the_threads(dimension):
     counts, reads = stress(dimension, 300, seed=dimension, most_nodes=50)
     assert sum(counts.values()) >= 300
     assert reads > 10
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("dimension", [2, 3])
-@pytest.mark.parametrize("seed", range(3))
-def test_many_random_operations(dimension, seed):
-    counts, _ = stress(dimension, 10_000, seed=seed)
-    assert min(counts.values()) > 10
