@@ -475,3 +475,70 @@ def test_readers_on_the_threads_beside_see_complete_states():
             reader.join()
     assert len(seen) == 3
     assert all(counts == sorted(counts) for counts in seen)
+
+
+def test_covariances_after_an_update_that_failed():
+    world = square()
+    expected = masat.covariances(world.graph())
+    world.add_pose(4)
+    world.add_edges([(3, 4), (4, 0)], [(1e200, 0, 0), (1, 1, 1)])
+    with pytest.raises(OptimizationError):
+        world.update()
+    # The edges are linearized at the poses then.
+    assert np.allclose(world.covariances(), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("budget", [-1.0, np.nan])
+def test_a_budget_is_no_less_than_zero(budget):
+    world = square()
+    world.add_pose(4)
+    with pytest.raises(OptimizationError, match="must not be negative"):
+        world.update(budget)
+    assert len(world) == 4
+
+
+def test_quaternions_of_files_that_are_rounded_or_wrong(tmp_path):
+    world = OnlineMap(3)
+    feed(world, random_graph(3, 20, 10, 3, noise=0.02))
+    world.save(tmp_path / "map.npz")
+    arrays = dict(np.load(tmp_path / "map.npz"))
+    for name in ("linearized", "poses", "measurements"):
+        rounded = {**arrays, name: np.round(arrays[name], 6)}
+        np.savez(tmp_path / "rounded.npz", **rounded)
+        loaded = OnlineMap.load(tmp_path / "rounded.npz")
+        assert np.allclose(loaded.poses, world.poses, atol=1e-5)
+        assert loaded.update().complete
+        doubled = {**arrays, name: arrays[name] * 2}
+        np.savez(tmp_path / "doubled.npz", **doubled)
+        with pytest.raises(masat.FormatError, match="quaternion"):
+            OnlineMap.load(tmp_path / "doubled.npz")
+
+
+@pytest.mark.parametrize("name", ["ids", "roots", "edge_numbers", "edges", "measurements"])
+def test_arrays_of_another_shape_in_a_file(name, tmp_path):
+    world = square()
+    world.save(tmp_path / "map.npz")
+    arrays = dict(np.load(tmp_path / "map.npz"))
+    for other in (arrays[name][:-1], arrays[name][..., None], arrays[name].ravel(), 0):
+        if np.shape(other) == arrays[name].shape:
+            continue
+        np.savez(tmp_path / "bad.npz", **{**arrays, name: np.array(other)})
+        with pytest.raises(masat.FormatError):
+            OnlineMap.load(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize("size", [1e100, 1e160, 1e200, 1e300])
+@pytest.mark.parametrize("scale", [1e-300, 1.0, 1e150, 1e300])
+def test_huge_numbers_leave_a_finite_map(size, scale):
+    world = square()
+    before = state(world)
+    world.add_edges((0, 2), (size, 0, 0), EYE * scale)
+    try:
+        done = world.update()
+    except OptimizationError:
+        assert state(world) == (*before[:2], pytest.approx(before[2]), before[3])
+        assert world.update().complete
+    else:
+        assert np.isfinite(world.poses).all()
+        assert np.isfinite(done.chi2)
+        assert np.isfinite(world.chi2)

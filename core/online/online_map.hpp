@@ -89,12 +89,12 @@ class OnlineMap {
   virtual MapContents contents() const = 0;
   // Fills an empty map, whose numbers have been checked. Throws Undetermined.
   virtual void fill(const MapContents& contents) = 0;
-  virtual std::int64_t edges() const = 0;
   virtual std::int64_t bytes_of_factor() const = 0;
   virtual std::int64_t fill_of_factor() const = 0;  // scalars
 
   // The last complete state, the world included, which any thread may read at any time.
   virtual std::int32_t nodes() const = 0;
+  virtual std::int64_t edges() const = 0;
   virtual std::vector<std::int64_t> ids() const = 0;
   virtual double chi2() const = 0;
   virtual std::vector<double> poses() const = 0;
@@ -102,5 +102,8 @@ class OnlineMap {
 };
 
 std::unique_ptr<OnlineMap> make_online_map(int dimension, double tolerance);
+// Each is in a file of its own, so that both are compiled at the same time.
+std::unique_ptr<OnlineMap> make_online_map_2d(double tolerance);
+std::unique_ptr<OnlineMap> make_online_map_3d(double tolerance);
 
 }  // namespace masat

@@ -87,13 +87,16 @@ class OnlineMapOf final : public OnlineMap {
   }
   MapContents contents() const override;
   void fill(const MapContents& contents) override;
-  std::int64_t edges() const override { return graph_.edge_count(); }
   std::int64_t bytes_of_factor() const override { return factor_.bytes(); }
   std::int64_t fill_of_factor() const override { return factor_.fill(); }
 
   std::int32_t nodes() const override {
     const std::lock_guard<std::mutex> lock(mutex_);
     return state_.nodes;
+  }
+  std::int64_t edges() const override {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return state_.edges;
   }
   std::vector<std::int64_t> ids() const override {
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -130,6 +133,7 @@ class OnlineMapOf final : public OnlineMap {
   void settle(Clock::time_point deadline, bool limited, StepSummary& summary);
   void reorder_if_worthwhile(StepSummary& summary);
   void evaluate();
+  void require_finite_chi2();
   double publish();
   void roll_back();
   void load_poses(const double* poses);
@@ -166,6 +170,7 @@ class OnlineMapOf final : public OnlineMap {
   struct State {
     std::vector<double> poses;
     std::int32_t nodes = 0;
+    std::int64_t edges = 0;
     double chi2 = 0;
   };
   mutable std::mutex mutex_;

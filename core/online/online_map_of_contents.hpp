@@ -127,7 +127,7 @@ void OnlineMapOf<Group>::fill(const MapContents& contents) {
   const auto count = static_cast<std::int32_t>(contents.ids.size());
   for (std::int32_t k = 0; k < count; ++k) {
     const double* const base = contents.bases.data() + std::int64_t{k} * kSize;
-    add_node(contents.ids[k], base);
+    if (!add_node(contents.ids[k], base)) throw std::invalid_argument("a pose of the map");
     const std::int32_t i = k + 1;
     const Group pose = Group::load(contents.poses.data() + std::int64_t{k} * kSize);
     graph_.step(i) = error(Group{}, graph_.place(i).linearized, pose);

@@ -109,6 +109,7 @@ StepSummary OnlineMapOf<Group>::update(double budget) {
     if (factor_.anything_touched()) solve(reference(std::min(state_.chi2, graph_.chi2())), summary);
     settle(deadline, budget < kUnlimited, summary);
     if (Clock::now() < deadline) reorder_if_worthwhile(summary);
+    require_finite_chi2();
   } catch (const SingularAt& at) {
     const std::int64_t id = ids_[at.node];
     roll_back();
@@ -287,6 +288,21 @@ double OnlineMapOf<Group>::reference(double chi2) const {
   return std::max(chi2, kNegligible * numbers);
 }
 
+// Huge measurements or information lead to poses and sums that are not finite.
+template <LieGroup Group>
+void OnlineMapOf<Group>::require_finite_chi2() {
+  if (std::isfinite(graph_.chi2())) return;
+  graph_.sum_again();  // an edge that has been removed since may have been the reason
+  if (std::isfinite(graph_.chi2())) return;
+  std::int32_t largest = -1;
+  for (std::int32_t slot = 0; slot < graph_.edge_slots(); ++slot) {
+    if (graph_.edge(slot).from < 0) continue;
+    if (largest < 0 || !(graph_.edge(slot).chi2 <= graph_.edge(largest).chi2)) largest = slot;
+    if (!std::isfinite(graph_.edge(slot).chi2)) break;
+  }
+  throw SingularAt(graph_.edge(largest).from);
+}
+
 // Makes the poses those that readers get, and returns the largest rotation among them.
 template <LieGroup Group>
 double OnlineMapOf<Group>::publish() {
@@ -309,6 +325,7 @@ double OnlineMapOf<Group>::publish() {
     }
     pose.store(stored);
   }
+  state_.edges = graph_.edge_count();
   state_.chi2 = graph_.chi2();
   return kAngles == 1 ? turned : 2 * std::asin(std::min(turned, 1.0));
 }
@@ -342,6 +359,15 @@ void OnlineMapOf<Group>::roll_back() {
     graph_.place(i).pose = Group::load(state_.poses.data() + std::int64_t{i} * kSize);
   }
   start_at_poses();
+  // Covariances can be read before the next step.
+  try {
+    factor_.drop(graph_);
+    factor_.eliminate(graph_);
+  } catch (const SingularAt&) {
+    factor_ = GrowingFactor<Group>();
+    resize();
+  }
+  for (std::int32_t i = 0; i < graph_.size(); ++i) factor_.touch(i);
 }
 
 // Linearizes all edges at the current poses; the next step factorizes everything.

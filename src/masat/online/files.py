@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from masat import _checks as checks
 from masat import lie
 from masat.arrays import AnyArray, Ids, Indices
 from masat.errors import FormatError
@@ -113,16 +114,22 @@ def graph_of(contents: dict[str, Any]) -> PoseGraph:
 def _fits(dimension: int, tolerance: float, c: dict[str, Any]) -> bool:
     """Tell whether the contents are those of a map; ValueErrors tell more."""
     n, size, dof = len(c["ids"]), lie.POSE_SIZE[dimension], lie.DOF[dimension]
-    roots, count, priors = c["roots"], len(c["edge_numbers"]), len(c["prior_numbers"])
-    if c["poses"].shape != (n, size) or c["linearized"].shape != (n, size) or roots.shape != (n,):
-        return False
-    if c["information"].shape != (count, dof, dof) or not 0 <= tolerance < 1:
-        return False
-    if c["measurements"].shape != (count, size) or c["prior_ids"].shape != (priors,):
-        return False
-    if c["prior_measurements"].shape != (priors, size):
-        return False
-    if c["prior_information"].shape != (priors, dof, dof):
+    m, p = len(c["edge_numbers"]), len(c["prior_numbers"])
+    shapes = {
+        "ids": (n,),
+        "poses": (n, size),
+        "linearized": (n, size),
+        "roots": (n,),
+        "edge_numbers": (m,),
+        "edges": (m, 2),
+        "measurements": (m, size),
+        "information": (m, dof, dof),
+        "prior_numbers": (p,),
+        "prior_ids": (p,),
+        "prior_measurements": (p, size),
+        "prior_information": (p, dof, dof),
+    }
+    if any(c[name].shape != shape for name, shape in shapes.items()) or not 0 <= tolerance < 1:
         return False
     for numbers in (c["edge_numbers"], c["prior_numbers"]):
         in_range = (numbers >= 0) & (numbers < c["next_edge"])
@@ -130,12 +137,16 @@ def _fits(dimension: int, tolerance: float, c: dict[str, Any]) -> bool:
             return False
     if np.isin(c["prior_numbers"], c["edge_numbers"]).any():
         return False
+    # The core takes quaternions only if their length is 1 up to rounding.
+    for name in ("poses", "linearized"):
+        checks.rotations(c[name], name, c["ids"], "node")
+    checks.rotations(c["measurements"], "measurement", c["edges"], "edge")
     if n == 0:
-        return count == priors == 0
-    if priors:
+        return m == p == 0
+    if p:
         pose_priors(c["prior_ids"], c["prior_measurements"], c["prior_information"])
     graph_of(c | {"poses": c["linearized"]})
-    return bool((roots_of(graph_of(c), c["ids"]) == roots).all())
+    return bool((roots_of(graph_of(c), c["ids"]) == c["roots"]).all())
 
 
 def roots_of(graph: PoseGraph, ids: Ids) -> Indices:

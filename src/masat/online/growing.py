@@ -307,8 +307,11 @@ class OnlineMap:
         ------
         OptimizationError
             If the edges do not determine a pose, up to rounding. What was added and removed since
-            the last update is forgotten then, and the map is as before.
+            the last update is forgotten then, and the map is as before. If the budget is negative,
+            nothing is done.
         """
+        if budget is not None and not budget >= 0:
+            raise OptimizationError(f"the budget must not be negative, got {budget}")
         with self._writing:
             done = self._advanced(budget)
             if self._review is None:
