@@ -42,7 +42,7 @@ class RecordingCore:
 
     def __init__(self, core: Any) -> None:
         self._core = core
-        self.states = [digest(core.poses())]
+        self.states = [digest(core.poses()[1:])]
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._core, name)
@@ -50,13 +50,25 @@ class RecordingCore:
     def update(self, budget: float) -> Any:
         """Update the map and record its state."""
         done = self._core.update(budget)
-        self.states.append(digest(self._core.poses()))
+        self.states.append(digest(self._core.poses()[1:]))
         return done
+
+    def fill(self, **contents: Any) -> None:
+        """Fill the map and record its state."""
+        self._core.fill(**contents)
+        self.states.append(digest(self._core.poses()[1:]))
 
     def set_poses(self, poses: Floats) -> None:
         """Move the map and record its state."""
         self._core.set_poses(poses)
-        self.states.append(digest(self._core.poses()))
+        self.states.append(digest(self._core.poses()[1:]))
+
+
+class RecordedMap(masat.OnlineMap):
+    """A map whose states are recorded."""
+
+    def _new_core(self) -> Any:
+        return RecordingCore(super()._new_core())
 
 
 class Readers:
@@ -97,6 +109,9 @@ class Readers:
         seen, after = digest(poses), len(core.states)
         assert count <= len(poses) <= len(world), "poses disappeared"
         check_poses(poses)
+        current: Any = world._core
+        if current is not core:
+            return  # A review has put another map in its place.
         # The state of an update in progress is recorded shortly after it can be read.
         if seen not in core.states[first:after]:
             with world._writing:
@@ -151,7 +166,7 @@ class Writer:
 
     def start(self) -> None:
         """Begin another map."""
-        self.watch(masat.OnlineMap(self.dimension))
+        self.watch(RecordedMap(self.dimension))
         self.truth: dict[int, Floats] = {}
         self.ids: list[int] = []  # of the last complete state, then those that wait
         self.complete_ids = 0
@@ -160,9 +175,7 @@ class Writer:
         self.removed: list[int] = []
 
     def watch(self, world: masat.OnlineMap) -> None:
-        """Record the states of a map from now on, and let the readers read it."""
-        self.core = RecordingCore(world._core)
-        world._core = self.core  # type: ignore[assignment]
+        """Let the readers read a map."""
         self.world = world
         self.readers.world = world
 
@@ -358,7 +371,7 @@ class Writer:
         """Go on with the map that was saved and loaded; what waited is not part of it."""
         path = Path(self.folder.name) / "map.npz"
         self.world.save(path)
-        loaded = masat.OnlineMap.load(path)
+        loaded = RecordedMap.load(path)
         assert np.allclose(loaded.poses, self.world.poses, rtol=0, atol=1e-12)
         self.watch(loaded)
         self.ids = self.ids[: self.complete_ids]

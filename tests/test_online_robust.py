@@ -1,5 +1,8 @@
 """Maps that grow and judge their loop closures, and their reviews."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from random_graphs import random_graph
@@ -7,7 +10,7 @@ from test_online import SQUARE, at_linearization, feed
 
 import masat
 from masat import OnlineMap, OptimizationError, worlds
-from masat.online import schedule
+from masat.online import review, schedule
 from masat.online.stream import replay
 from masat.robust.prediction import log_volume
 from masat.study.scores import score
@@ -206,12 +209,12 @@ def test_a_review_reverses_what_was_believed(monkeypatch):
     arrivals = world._arrivals
     # As if it had been believed, and the true ones had not.
     world._core.remove_edges(np.array(list(numbers.values())))
-    arrivals.reject(np.array(list(numbers.values())))
+    arrivals._reject(np.array([arrivals.find(k) for k in numbers.values()]), 3)
     world._core.add_edges(
         np.array([[0, 11]]), np.array([DIFFERENT_PLACE]), 100 * np.eye(3)[None], wrong
     )
     arrivals._rows["state"][arrivals.find(int(wrong[0]))] = 2
-    arrivals._kept += 1
+    arrivals._count_again()
     world.update()
     assert world.rejected.tolist() == list(numbers.values())
     for k in range(12, 60):
@@ -278,3 +281,197 @@ def test_log_volume_is_that_of_the_batch():
     arrivals = world._arrivals
     arrivals._nodes = 0
     assert arrivals._log_volume(world._core) == log_volume(world.poses)
+
+
+def test_what_a_review_found_is_solved():
+    graph = worlds.perturb(worlds.manhattan(1000, seed=0), (0.3, 0.3, 0.3), seed=0)
+    before, cores = 0.0, []
+    run = OnlineMap(2)
+    newer = graph.edges.max(axis=1)
+    for node in graph.ids.tolist():
+        run.add_pose(node)
+        rows = np.flatnonzero(newer == node)
+        if len(rows):
+            rows = rows[np.argsort(np.abs(np.diff(graph.edges[rows]))[:, 0], kind="stable")]
+            run.add_edges(graph.edges[rows], graph.measurements[rows], graph.information[rows])
+        core, done = run._core, run.update()
+        if run._core is not core:
+            # Another map is only taken if it is better.
+            cores.append(node)
+            assert run.chi2 <= core.exact_chi2()
+            assert done.chi2 == pytest.approx(run.chi2, rel=1e-2)
+        before = run.chi2
+    assert cores
+    assert before > 0
+
+
+def test_a_wrong_odometry_edge_is_released():
+    world = worlds.normalized(
+        masat.optimize(
+            worlds.perturb(worlds.manhattan(200, seed=1), (0.05, 0.05, 0.02), seed=1)
+        ).graph
+    )
+    z = world.measurements.copy()
+    odometry = np.flatnonzero(np.abs(np.diff(world.edges))[:, 0] == 1)
+    z[odometry[100]] = (4, 3, 1.5)
+    graph = masat.PoseGraph.from_arrays(world.edges, z, world.information, ids=world.ids)
+    batch = masat.solve(graph, robust=True)
+    run = replay(graph, robust=True)
+    result = run.map.optimize()
+    assert result.chi2 == pytest.approx(batch.chi2, rel=0.05)
+    assert int(run.numbers[odometry[100]]) in run.map.rejected.tolist()
+    assert "trusted, but" in run.map.closures["reason"][~run.map.closures["kept"]].tolist()[0]
+    again = run.map.optimize()
+    assert again.chi2 == pytest.approx(result.chi2, rel=1e-6)
+
+
+def test_parts_that_are_joined_during_a_review_stay_together(monkeypatch):
+    monkeypatch.setattr(schedule, "_TURNED", -1.0)
+    world = OnlineMap(2)
+    circles(world, 40)
+    for k in range(100, 140):
+        world.add_pose(k)
+        if k > 100:
+            world.add_edges((k - 1, k), (1, 0, np.pi / 4), 100 * np.eye(3))
+    world.update()
+    assert world._review is not None
+    found = world._review.outcome()
+    seen = world._review.seen
+    world.add_edges((5, 105), (3, 2, 2.5), 100 * np.eye(3))
+    world.update()
+    world._review = None
+    poses = seen.poses
+    changed = found._replace(poses=poses, roots=review.roots_of(seen.graph, seen.ids))
+    monkeypatch.setattr(world, "_core", world._core)
+    world._take_over(seen, changed)
+    assert world.chi2 == pytest.approx(0, abs=1e-9)
+
+
+def test_a_failed_update_undoes_removals_as_well():
+    world = OnlineMap(2, robust=True)
+    numbers = circles(world, 30, spoil=(20,))
+    before = world.closures.tobytes()
+    world.remove_edges([numbers[20], numbers[25]])
+    world.add_pose(99)
+    world.add_edges([(29, 99), (99, 0)], [(1e200, 0, 0), (1, 1, 1)], trusted=True)
+    with pytest.raises(OptimizationError):
+        world.update()
+    assert world.closures.tobytes() == before
+    assert world._core.has_edge(numbers[25])
+    world.remove_edges([numbers[20], numbers[25]])
+    world.update()
+    assert len(world.closures) == 20
+
+
+def test_closures_between_parts_are_judged_when_the_parts_connect():
+    world = OnlineMap(2, robust=True)
+    circles(world, 40)
+    for k in range(100, 140):
+        world.add_pose(k)
+        if k > 100:
+            world.add_edges((k - 1, k), (1, 0, np.pi / 4), 100 * np.eye(3))
+    for k in range(5):
+        world.add_edges((k, 108 + k), (0, 0, 0), 100 * np.eye(3))
+    world.update()
+    assert len(world.rejected) == 5
+    world.add_edges((10, 110), (0, 0, 0), 100 * np.eye(3), trusted=True)
+    world.update()
+    # The trusted edge turns the second part so that node 108 is at node 8, which is at node 0.
+    assert len(world.rejected) == 0
+    assert world.chi2 == pytest.approx(0, abs=1e-9)
+
+
+def test_odometry_that_is_corrected_is_trusted_again():
+    world = OnlineMap(2, robust=True)
+    circles(world, 20)
+    world.add_pose(20)
+    wrong = world.add_edges((19, 20), DIFFERENT_PLACE, 100 * np.eye(3))
+    world.update()
+    world.remove_edges(wrong)
+    world.add_edges((19, 20), (1, 0, np.pi / 4), 100 * np.eye(3))
+    world.update()
+    assert len(world.rejected) == 0
+    assert world.chi2 == pytest.approx(0, abs=1e-9)
+
+
+def test_a_front_end_may_use_its_arrays_again():
+    world = OnlineMap(2, robust=True)
+    information = 100 * np.eye(3)[None]
+    for k in range(4):
+        world.add_pose(k)
+        if k:
+            world.add_edges(np.array([(k - 1, k)]), np.array([(1.0, 0, 0)]), information)
+        world.update()
+    information[:] = 1e-6 * np.eye(3)
+    np.testing.assert_allclose(world._arrivals.trusted.variance_along(5)[-1], 0.03)
+
+
+def test_the_same_closure_twice_does_not_support_itself():
+    world = OnlineMap(2, robust=True)
+    loose = np.diag([8.0, 8.0, 800.0])
+    for k in range(61):
+        world.add_pose(k)
+        if k > 0:
+            world.add_edges((k - 1, k), (1, 0, np.pi / 30), loose)
+    for k in range(2, 30):
+        world.add_edges((k, k + 2), (30, 30, 2), loose)
+    world.update()
+    for _ in range(2):
+        world.add_edges((0, 60), (0.8, -0.6, 0.1), loose)
+        world.update()
+    assert len(world.rejected) == 30
+
+
+def test_a_chain_does_not_turn():
+    world = OnlineMap(2)
+    for k in range(200):
+        world.add_pose(k)
+        world.update()
+        if k:
+            world.add_edges((k - 1, k), (1, 0, 1.0))
+        world.update()
+        assert world._review is None
+
+
+def test_saving_before_an_update_saves_the_last_one(tmp_path):
+    world = OnlineMap(2, robust=True)
+    OnlineMap(2, robust=True).save(tmp_path / "empty.npz")
+    assert OnlineMap.load(tmp_path / "empty.npz").robust
+    numbers = circles(world, 20)
+    before = world.closures.tobytes()
+    world.add_pose(20)
+    world.add_edges((19, 20), (1, 0, 0))
+    world.add_edges((12, 20), (0, 0, 0))
+    world.add_edges((3, 11), (0, 0, 0))
+    world.remove_edges(numbers[15])
+    world.save(tmp_path / "map.npz")
+    loaded = OnlineMap.load(tmp_path / "map.npz")
+    assert loaded.closures.tobytes() == before
+    assert len(loaded) == 20
+
+
+@pytest.mark.parametrize("trusted", [[True], np.array([True, False]), 1.0])
+def test_trusted_is_one_answer_for_all(trusted):
+    world = OnlineMap(2, robust=True)
+    circles(world, 12)
+    with pytest.raises(masat.GraphError, match="trusted must be"):
+        world.add_edges((3, 9), (0, 0, 0), trusted=trusted)
+    world.update()
+    assert len(world.closures) == 4
+
+
+def test_the_interpreter_ends_while_a_review_runs():
+    program = """
+import masat
+from masat import worlds
+from masat.online.schedule import Schedule
+from masat.online.stream import replay
+graph = worlds.perturb(worlds.manhattan(800, seed=0), (0.1, 0.1, 0.1), seed=0)
+world = replay(graph).map
+world._end_review()
+world._schedule = Schedule(turned=1.0)
+world.update()
+assert world._review is not None
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr

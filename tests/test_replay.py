@@ -18,7 +18,7 @@ def graph():
 
 def test_each_pose_arrives_with_its_edges_to_earlier_ones_odometry_first(graph):
     seen, known = [], set()
-    for node, edges in steps(graph):
+    for node, edges, _ in steps(graph):
         known.add(node)
         for edge in edges:
             assert set(graph.edges[edge].tolist()) <= known
@@ -37,10 +37,16 @@ def test_the_map_of_a_replay_is_that_of_a_solve(graph):
     assert run.map.optimize().chi2 == pytest.approx(masat.solve(graph).chi2, rel=1e-6)
 
 
-def test_priors_are_refused(graph):
-    fixed = graph.with_priors(masat.gps([0, 5], [(0, 0), (1, 1)], 1.0))
-    with pytest.raises(GraphError, match="no priors and no landmarks yet"):
-        replay(fixed)
+def test_priors_arrive_with_their_poses(graph):
+    fixed = graph.with_priors(masat.gps([0, 5, 5], [(0, 0), (1, 1), (1, 2)], 1.0))
+    arrived = {step.node: step.priors.tolist() for step in steps(fixed) if len(step.priors)}
+    assert arrived == {0: [0], 5: [1, 2]}
+
+
+def test_landmarks_are_refused(graph):
+    seen = graph.with_landmarks(masat.landmarks([(0, 10_000)], [(1, 1)]))
+    with pytest.raises(GraphError, match="no landmarks yet"):
+        replay(seen)
 
 
 def test_the_command_prints_times_and_writes_map_and_film(run, tmp_path):

@@ -28,6 +28,11 @@ class BackSubstitution {
     known_[node].below = known_[node].evaluated = graph.step(node);
   }
 
+  // Takes the weights of nodes from the newest fronts, whose steps are set otherwise.
+  void weigh_newest(const Graph& graph, const Factor& factor) {
+    for (const std::int32_t f : factor.newest()) weigh(graph, factor.front(f));
+  }
+
   // Sets the steps of the newest fronts. The other fronts follow where a step above them differs
   // by d from the one that they know, with d' diag(H) d above the threshold; the sum over the nodes
   // bounds by how much chi2 of the linearized problem may be too high. Edges are to be evaluated

@@ -9,6 +9,7 @@ void OnlineMapOf<Group>::set_poses(const double* poses) {
   try {
     factor_.drop(graph_);
     factor_.eliminate(graph_);
+    back_.weigh_newest(graph_, factor_);
   } catch (const SingularAt& at) {
     root_log_.clear();
     removed_log_.clear();
@@ -158,6 +159,7 @@ void OnlineMapOf<Group>::fill(const MapContents& contents) {
   try {
     factor_.drop(graph_);
     factor_.eliminate(graph_);
+    back_.weigh_newest(graph_, factor_);
   } catch (const SingularAt& at) {
     throw Undetermined(ids_[at.node]);
   }

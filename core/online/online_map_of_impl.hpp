@@ -363,6 +363,7 @@ void OnlineMapOf<Group>::roll_back() {
   try {
     factor_.drop(graph_);
     factor_.eliminate(graph_);
+    back_.weigh_newest(graph_, factor_);
   } catch (const SingularAt&) {
     factor_ = GrowingFactor<Group>();
     resize();

@@ -113,12 +113,15 @@ class OnlineMap:
         if not 0 <= tolerance < 1:
             raise OptimizationError(f"the tolerance must be in [0, 1), got {tolerance!r}")
         self._dimension, self._tolerance = int(dimension), float(tolerance)
-        self._core = _core.OnlineMap(self._dimension, self._tolerance)
+        self._core = self._new_core()
         self._writing = threading.RLock()
         self._arrivals = Arrivals(self._dimension) if robust else None
         self._waiting = WaitingPriors(self._dimension)
         self._schedule = Schedule()
         self._review: Review | None = None
+
+    def _new_core(self) -> _core.OnlineMap:
+        return _core.OnlineMap(self._dimension, self._tolerance)
 
     def __len__(self) -> int:
         return self._core.nodes() - 1
@@ -252,7 +255,12 @@ class OnlineMap:
     @property
     def waiting_priors(self) -> Ids:
         """The numbers of the priors that do not determine yet where their part of the map lies."""
-        return np.sort(self._waiting.rows["number"])
+        return self._waiting.waiting
+
+    @property
+    def rejected_priors(self) -> Ids:
+        """The numbers of the priors that a robust map has left out, ascending."""
+        return np.sort(self._waiting.rejected["number"])
 
     def remove_edges(self, numbers: int | ArrayLike) -> None:
         """Remove edges or priors at the next `update`; nodes that lose all their edges remain.
@@ -395,37 +403,36 @@ class OnlineMap:
         if arrivals is None:
             return snapshot(contents)
         left_out = arrivals.edges(arrivals.present & ~arrivals.kept)
-        return snapshot(contents, left_out, arrivals.rows["number"])
+        return snapshot(contents, left_out, arrivals.rows["number"], self._waiting.rejected)
 
     def _take_over(self, seen: Snapshot, found: Found) -> Update | None:
         """Make the map that a review found, if it is another one and can be made."""
         decision = found.decision
-        changed = 0 if decision is None else np.count_nonzero(decision.kept != seen.believed)
-        self._schedule.end(int(changed), 0 if self._arrivals is None else len(self._arrivals))
+        changed = 0
+        if decision is not None:
+            changed = int(np.count_nonzero(decision.kept != seen.believed))
+            changed += int(np.count_nonzero(decision.kept_priors != seen.believed_priors))
+        self._schedule.end(changed, 0 if self._arrivals is None else len(self._arrivals))
         if found.poses is None:
             return None
-        before, arrivals_before = self._core, self._arrivals
-        contents, arrivals = outcome_of(before, arrivals_before, seen, found)
-        same_edges = (
-            len(contents["edge_numbers"]) == before.edges() - len(contents["prior_numbers"])
-            and not changed
-        )
-        core = _core.OnlineMap(self._dimension, self._tolerance)
+        before = self._core, self._arrivals, self._waiting
+        contents, arrivals, waiting = outcome_of(*before, seen, found)
+        core = self._new_core()
         try:
             core.fill(**contents)
             core.start_from(contents["poses"])
             done = Update(*core.update(_NO_BUDGET))
         except _core.UndeterminedError:
             return None
-        if same_edges and core.exact_chi2() >= before.exact_chi2():
+        if not changed and core.exact_chi2() >= self._core.exact_chi2():
             # It was better when the review began.
             return None
-        self._core, self._arrivals = core, arrivals
+        self._core, self._arrivals, self._waiting = core, arrivals, waiting
         if not done.complete:
             try:
                 result = self._to_optimum()
             except OptimizationError:
-                self._core, self._arrivals = before, arrivals_before
+                self._core, self._arrivals, self._waiting = before
                 return None
             done = done._replace(chi2=result.chi2, complete=result.converged)
         return done._replace(turned=0.0)

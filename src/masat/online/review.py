@@ -20,6 +20,13 @@ from masat.optimizers.equations import normal_equations
 from masat.robust import decide
 from masat.robust.decision import Decision
 
+# What the contents of a map and `WaitingPriors` call the columns of priors.
+PRIORS = {
+    "prior_numbers": "number",
+    "prior_ids": "id",
+    "prior_measurements": "measurement",
+    "prior_information": "information",
+}
 # A fraction of chi2 by which another map has to be better.
 _LOWER = 1e-3
 
@@ -43,6 +50,8 @@ class Snapshot(NamedTuple):
         The numbers of the edges, ascending.
     prior_numbers : ndarray of int64, (p,)
         The numbers of the priors.
+    believed_priors : ndarray of bool, (p,)
+        Which priors are part of the map.
     """
 
     graph: PoseGraph
@@ -52,6 +61,7 @@ class Snapshot(NamedTuple):
     believed: Flags
     numbers: Ids
     prior_numbers: Ids
+    believed_priors: Flags
 
 
 class Found(NamedTuple):
@@ -76,6 +86,7 @@ def snapshot(
     contents: dict[str, Any],
     withheld: dict[str, AnyArray] | None = None,
     doubtful: Ids | None = None,
+    rejected: AnyArray | None = None,
 ) -> Snapshot:
     """Return what is known of a map.
 
@@ -87,22 +98,34 @@ def snapshot(
         Edges that are not part of it, under the same names.
     doubtful : ndarray of int64, optional
         The numbers of all edges that are not trusted.
+    rejected : structured ndarray, optional
+        Priors that are not part of it, as `WaitingPriors` holds them.
     """
     parts = [contents] if withheld is None else [contents, withheld]
     names = ("edge_numbers", "edges", "measurements", "information")
     every = {name: np.concatenate([part[name] for part in parts]) for name in names}
     order = np.argsort(every["edge_numbers"], kind="stable")
     every = {name: values[order] for name, values in every.items()}
-    numbers = every["edge_numbers"]
+    numbers, priors = every["edge_numbers"], contents
+    if rejected is not None:
+        priors = with_priors(contents, rejected)
     return Snapshot(
-        graph_of(contents | every),
+        graph_of(priors | every),
         contents["ids"],
         contents["poses"],
         None if doubtful is None else ~np.isin(numbers, doubtful),
         np.isin(numbers, contents["edge_numbers"]),
         numbers,
-        contents["prior_numbers"],
+        priors["prior_numbers"],
+        np.isin(priors["prior_numbers"], contents["prior_numbers"]),
     )
+
+
+def with_priors(contents: dict[str, Any], rows: AnyArray) -> dict[str, Any]:
+    """Return contents with more priors, which `WaitingPriors` holds as rows."""
+    joined = {name: np.concatenate([contents[name], rows[field]]) for name, field in PRIORS.items()}
+    order = np.argsort(joined["prior_numbers"], kind="stable")
+    return contents | {name: np.ascontiguousarray(values[order]) for name, values in joined.items()}
 
 
 def look_again(seen: Snapshot) -> Found:
@@ -112,7 +135,10 @@ def look_again(seen: Snapshot) -> Found:
         found = guess_of(graph, "auto")
     else:
         decision = decide(graph, seen.trusted, believed=seen.believed, threads=1)
-        is_same = bool((decision.kept == seen.believed).all() and decision.kept_priors.all())
+        is_same = bool(
+            (decision.kept == seen.believed).all()
+            and (decision.kept_priors == seen.believed_priors).all()
+        )
         graph = decision.believed(graph)
         found = graph.with_poses(decision.poses)
         if needs_assembly(found):

@@ -10,17 +10,20 @@ from masat import _core, lie
 from masat.arrays import Ids
 from masat.online.arrivals import Arrivals
 from masat.online.files import graph_of, roots_of
-from masat.online.review import Found, Snapshot, in_frame
+from masat.online.review import PRIORS, Found, Snapshot, in_frame, with_priors
+from masat.online.waiting_priors import WaitingPriors
 
 _EDGES = ("edge_numbers", "edges", "measurements", "information")
 
-_PRIORS = ("prior_numbers", "prior_ids", "prior_measurements", "prior_information")
-
 
 def outcome_of(
-    core: _core.OnlineMap, arrivals: Arrivals | None, seen: Snapshot, found: Found
-) -> tuple[dict[str, Any], Arrivals | None]:
-    """Return the contents of a core's map after a review, and its closures as they are then.
+    core: _core.OnlineMap,
+    arrivals: Arrivals | None,
+    waiting: WaitingPriors,
+    seen: Snapshot,
+    found: Found,
+) -> tuple[dict[str, Any], Arrivals | None, WaitingPriors]:
+    """Return the contents of a core's map after a review, and what is left out of it then.
 
     Parameters
     ----------
@@ -28,12 +31,14 @@ def outcome_of(
         The map now.
     arrivals : Arrivals, optional
         Its closures. Those that have arrived since the review began are as they were judged.
+    waiting : WaitingPriors
+        The priors that are not part of it.
     seen, found : Snapshot, Found
         What was reviewed, and what was found.
     """
     contents = core.contents()
     if arrivals is None or found.decision is None:
-        return _with_poses(contents, found), arrivals
+        return _with_poses(contents, found), arrivals, waiting
     arrivals, kept_then = arrivals.copy(), found.decision.kept
     assert seen.trusted is not None
     numbers = contents["edge_numbers"]
@@ -49,10 +54,16 @@ def outcome_of(
     edges = {name: np.concatenate([contents[name][stays], new[name]]) for name in _EDGES}
     order = np.argsort(edges["edge_numbers"], kind="stable")
     contents |= {name: np.ascontiguousarray(edges[name][order]) for name in _EDGES}
-    rejected = seen.prior_numbers[~found.decision.kept_priors]
-    priors = ~np.isin(contents["prior_numbers"], rejected)
-    contents |= {name: np.ascontiguousarray(contents[name][priors]) for name in _PRIORS}
-    return _with_poses(contents, found), arrivals
+    contents = with_priors(contents, waiting.rejected)
+    doubted = seen.prior_numbers[~found.decision.kept_priors]
+    stays = ~np.isin(contents["prior_numbers"], doubted)
+    left_out = np.zeros(int((~stays).sum()), waiting.rows.dtype)
+    left_out["rejected"] = True
+    for name, field in PRIORS.items():
+        left_out[field] = contents[name][~stays]
+        contents[name] = np.ascontiguousarray(contents[name][stays])
+    left_out["node"] = core.find_all(np.ascontiguousarray(left_out["id"]))
+    return _with_poses(contents, found), arrivals, waiting.with_rejected(left_out)
 
 
 def _with_poses(contents: dict[str, Any], found: Found) -> dict[str, Any]:

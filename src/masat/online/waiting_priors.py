@@ -34,12 +34,13 @@ def record_of_priors(dimension: int) -> np.dtype[np.void]:
             ("node", np.int32),
             ("measurement", np.float64, (lie.POSE_SIZE[dimension],)),
             ("information", np.float64, (dof, dof)),
+            ("rejected", np.bool_),
         ]
     )
 
 
 class WaitingPriors:
-    """Priors that are no part of the map yet.
+    """Priors that are no part of the map yet, or were rejected when all was decided on.
 
     A part of the map that is not tied to the world lies in a frame of its own. Its priors wait
     until they determine the rigid motion of the part well enough. Then it is moved onto them, and
@@ -60,8 +61,26 @@ class WaitingPriors:
 
     @property
     def rows(self) -> AnyArray:
-        """All that wait."""
+        """All of them."""
         return self._rows
+
+    @property
+    def waiting(self) -> Ids:
+        """Numbers of those that wait, ascending."""
+        return np.sort(self._rows["number"][~self._rows["rejected"]])
+
+    @property
+    def rejected(self) -> AnyArray:
+        """Those that were rejected."""
+        rows: AnyArray = self._rows[self._rows["rejected"]]
+        return rows
+
+    def with_rejected(self, rows: AnyArray) -> WaitingPriors:
+        """Return the same priors with others as those that are rejected."""
+        other = object.__new__(WaitingPriors)
+        other.__dict__.update(self.__dict__)
+        other._rows = np.concatenate([self._rows[~self._rows["rejected"]], rows])
+        return other
 
     def withhold(self, core: _core.OnlineMap, numbers: Ids, nodes: Indices, priors: Priors) -> None:
         """Take back priors that were just added to the core."""
@@ -104,12 +123,12 @@ class WaitingPriors:
         self._rows = self._rows[self._staying]
         self._leaving.clear()
         self._new = 0
-        if len(self._rows) == 0:
+        if self._rows["rejected"].all():
             return False
         roots = core.roots()
-        root_of_each = roots[self._rows["node"]]
+        root_of_each = np.where(self._rows["rejected"], -1, roots[self._rows["node"]])
         released, poses, moved = np.zeros(len(self._rows), np.bool_), core.poses(), False
-        for root in np.unique(root_of_each).tolist():
+        for root in np.unique(root_of_each[root_of_each >= 0]).tolist():
             mine = root_of_each == root
             if root == 0:
                 released |= mine
