@@ -42,7 +42,7 @@ from masat.optimality.certificate import Certificate, certify
 from masat.optimizers import Iteration, Result, StopReason, optimize
 from masat.plotting import plot
 from masat.solver import solve
-from masat.view import view
+from masat.viewing import view
 
 __all__ = [
     "Certificate",

@@ -15,7 +15,7 @@ from masat.cli.progress import Iterations, Stages
 from masat.graph import PoseGraph
 from masat.optimizers import Result
 from masat.solver import solve
-from masat.view import view as page_of
+from masat.viewing import view as page_of
 
 _SUFFIX = ".html"
 

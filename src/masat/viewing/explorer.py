@@ -106,9 +106,9 @@ def view(
     >>> page.save("map.html")  # doctest: +SKIP
     """
     # Presentation, which most programs do not need.
-    from masat.view.page import page
-    from masat.view.payload import pack
-    from masat.view.scene import scene_of
+    from masat.viewing.page import page
+    from masat.viewing.payload import pack
+    from masat.viewing.scene import scene_of
 
     if isinstance(before, PoseGraph):
         before = {"before": before}
