@@ -557,7 +557,9 @@ def test_rerun_gets_all_layers_at_each_step(d, tmp_path):
     for name in layers:
         entity = found[f"/map/{name}"]
         assert len(entity["map"]) == (frames if layers.index(name) < 3 else 1)
-    assert found["/chi2_of_edges"]["scalars"][-1] == [pytest.approx(result.graph.chi2_per_edge.sum())]
+    assert found["/chi2_of_edges"]["scalars"][-1] == [
+        pytest.approx(result.graph.chi2_per_edge.sum())
+    ]
     assert found["/about"]["text"][0][0].startswith("A map\ngraph: ")
     # The result is drawn at the poses of the result, but for the center of the map.
     positions = np.array(found["/map/nodes"]["positions"][-1])

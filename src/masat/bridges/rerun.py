@@ -95,8 +95,8 @@ def log_map(
             log("chi2_of_edges", rerun.Scalars(header["chi2"][k]))
         if k < last:
             continue
-        for name, points, ends, color in _others(arrays, positions):
-            log(f"map/{name}", lines(ends, color) if points is None else dots(points, color))
+        for name, drawn, color in _others(arrays, positions):
+            log(f"map/{name}", lines(drawn, color) if drawn.ndim == 3 else dots(drawn, color))
 
 
 def save_rerun(
@@ -127,22 +127,22 @@ def save_rerun(
 
 def _others(
     arrays: Mapping[str, AnyArray], positions: _Points
-) -> Iterable[tuple[str, _Points | None, _Points | None, tuple[int, int, int]]]:
-    """Yield name, points or lines, and color of what is drawn with the result alone."""
+) -> Iterable[tuple[str, _Points, tuple[int, int, int]]]:
+    """Yield name, points (n, 3) or lines (n, 2, 3), and color of what goes with the result."""
     if "fixes" in arrays:
         fixes = _in_3d(arrays["fixes"])
         known = ~np.isnan(fixes).any(axis=1)
-        yield "priors", fixes[known], None, _PRIORS
+        yield "priors", fixes[known], _PRIORS
     if "landmarks" in arrays:
         points = _in_3d(arrays["landmarks"])
         poses, seen = arrays["observations"].T
-        yield "landmarks", points, None, _LANDMARKS
-        yield "observations", None, np.stack([positions[poses], points[seen]], axis=1), _LANDMARKS
+        yield "landmarks", points, _LANDMARKS
+        yield "observations", np.stack([positions[poses], points[seen]], axis=1), _LANDMARKS
     if "truth" in arrays:
         truth = _in_3d(arrays["truth"])
         ends = arrays["ends"][arrays["is_odometry"]]
         steps = truth[ends]
-        yield "truth", None, steps[~np.isnan(steps).any(axis=(1, 2))], _TRUTH
+        yield "truth", steps[~np.isnan(steps).any(axis=(1, 2))], _TRUTH
 
 
 def _in_3d(points: AnyArray) -> _Points:
