@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
+from masat.display import table_html
+
 
 @dataclass(frozen=True)
 class Heading:
@@ -35,7 +37,7 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
 
     def _repr_html_(self) -> str:
-        return table_html(self)
+        return table_html(self.columns, self.rows)
 
     def csv(self) -> str:
         """Return the table as CSV."""
@@ -100,16 +102,6 @@ iframe { width: 100%; border: 1px solid #ddd; } figcaption { color: #555; }
 """
 
 
-def table_html(table: Table) -> str:
-    """Return a table as HTML."""
-    head = "".join(f"<th>{html.escape(c)}</th>" for c in table.columns)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>\n"
-        for row in table.rows
-    )
-    return f"<table><tr>{head}</tr>\n{body}</table>"
-
-
 def page(blocks: list[Block]) -> str:
     """Return the document as one HTML file, pictures and interactive pages included."""
     title, parts = "", []
@@ -135,7 +127,7 @@ def page(blocks: list[Block]) -> str:
                     f"<figcaption>{html.escape(caption)}</figcaption></figure>"
                 )
             case Table():
-                parts.append(table_html(block))
+                parts.append(table_html(block.columns, block.rows))
     return (
         f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>{html.escape(title)}'
         f"</title><style>{_STYLE}</style>\n" + "\n".join(parts) + "\n</html>\n"
