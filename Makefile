@@ -64,8 +64,8 @@ test-browser: $(VENV)/.test
 test-evo: $(VENV)/evo/.done
 	$(VENV)/evo/bin/python -m pytest -q tests/test_evo.py
 
-# The bridges and notebooks with the other packages, which together take 2 GB, in an environment of
-# their own. The pytest plugin of dash, which open3d installs, is older than our pytest.
+# The bridges with all other packages, which together take 2 GB, in an environment of their own.
+# The pytest plugin of dash, which open3d installs, is older than our pytest.
 test-bridges: $(VENV)/bridges/.done
 	$(VENV)/bridges/bin/python -m pytest -q -p no:dash tests/test_bridges.py tests/test_notebooks.py \
 	  tests/test_docs.py
@@ -107,7 +107,7 @@ $(VENV)/evo/.done: $(VENV)/bin/pip $(SOURCES)
 
 $(VENV)/bridges/.done: $(VENV)/bin/pip $(SOURCES)
 	$(PYTHON) -m venv $(VENV)/bridges
-	$(VENV)/bridges/bin/pip install -q '.[test,gtsam,networkx,pandas,open3d,rerun,notebook]'
+	$(VENV)/bridges/bin/pip install -q '.[test,gtsam,networkx,pandas,open3d,rerun]'
 	@touch $@
 
 $(VENV)/bench/.done: $(VENV)/bin/pip $(SOURCES)

@@ -413,6 +413,10 @@ def test_factors_without_a_counterpart_are_named():
     rigid.add(gtsam.BetweenFactorPose2(0, 1, gtsam.Pose2(), gtsam.noiseModel.Constrained.All(3)))
     with pytest.raises(GraphError, match="constrained"):
         from_gtsam(rigid)
+    large = gtsam.NonlinearFactorGraph()
+    large.add(gtsam.BetweenFactorPose2(0, 2**63 + 1, gtsam.Pose2(), unit(3)))
+    with pytest.raises(GraphError, match="has the key 9223372036854775809: ids are at most"):
+        from_gtsam(large)
     fixed = gtsam.NonlinearFactorGraph()
     fixed.add(gtsam.NonlinearEqualityPose2(4, gtsam.Pose2()))
     with pytest.raises(GraphError, match="node 4 is fixed"):

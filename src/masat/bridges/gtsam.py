@@ -27,6 +27,8 @@ from masat.graph import PoseGraph
 from masat.information import for_rotation_vectors, from_rotation_vectors
 from masat.measurements import Priors
 
+_LARGEST_ID = 2**63 - 2
+
 
 class Factors(NamedTuple):
     """A graph of gtsam.
@@ -153,6 +155,9 @@ class _Read:
     def add(self, k: int, factor: Any) -> None:
         kind = type(factor)
         name = f"factor {k}, a {kind.__name__}"
+        for key in factor.keys():  # noqa: SIM118
+            if key > _LARGEST_ID:
+                raise GraphError(f"{name}, has the key {key}: ids are at most {_LARGEST_ID}")
         if kind in self._between:
             self._take_dimension(self._between[kind], name)
             a, b = factor.keys()
