@@ -67,8 +67,8 @@ test-evo: $(VENV)/evo/.done
 # The bridges with all other packages, which together take 2 GB, in an environment of their own.
 # The pytest plugin of dash, which open3d installs, is older than our pytest.
 test-bridges: $(VENV)/bridges/.done
-	$(VENV)/bridges/bin/python -m pytest -q -p no:dash tests/test_bridges.py tests/test_notebooks.py \
-	  tests/test_docs.py
+	$(VENV)/bridges/bin/python -m pytest -q -p no:dash tests/test_bridges.py tests/test_gtsam.py \
+	  tests/test_notebooks.py tests/test_docs.py
 
 # With each supported compiler of this machine: builds the core and runs its tests.
 compilers: $(VENV)/.test

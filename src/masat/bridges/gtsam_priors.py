@@ -15,8 +15,8 @@ from masat.information import for_rotation_vectors, from_rotation_vectors
 from masat.measurements import Priors, pose_priors
 
 
-def prior_factor(gtsam: Any, priors: Priors, k: int) -> Any:
-    """Return gtsam's factor of a prior on a pose.
+def prior_factor(gtsam: Any, priors: Priors, k: int, *, on_point: bool) -> Any:
+    """Return gtsam's factor of a prior.
 
     Parameters
     ----------
@@ -26,6 +26,8 @@ def prior_factor(gtsam: Any, priors: Priors, k: int) -> Any:
         Priors without offsets.
     k : int
         The index of the prior.
+    on_point : bool
+        Whether it is on a landmark.
     """
     d, node = priors.dimension, int(priors.ids[k])
     z, w = priors.measurements[k], priors.information[k]
@@ -33,6 +35,9 @@ def prior_factor(gtsam: Any, priors: Priors, k: int) -> Any:
     if not w[d:].any():
         # In the axes of the world, to which gtsam's residual refers.
         turn = lie.to_matrices(z)[:d, :d]
+        if on_point:
+            kind = gtsam.PriorFactorPoint2 if d == 2 else gtsam.PriorFactorPoint3
+            return kind(node, z[:d], noise_model(gtsam, turn @ w[:d, :d] @ turn.T))
         kind = gtsam.PoseTranslationPrior2D if d == 2 else gtsam.PoseTranslationPrior3D
         return kind(node, at, noise_model(gtsam, turn @ w[:d, :d] @ turn.T))
     if not w[:d].any():
@@ -63,16 +68,19 @@ def read_prior(gtsam: Any, factor: Any, matrix: Callable[[], Floats]) -> Priors 
     kind, nodes = type(factor), list(factor.keys())
     poses = {gtsam.PriorFactorPose2: 2, gtsam.PriorFactorPose3: 3}
     translations = {gtsam.PoseTranslationPrior2D: 2, gtsam.PoseTranslationPrior3D: 3}
+    points = {gtsam.PriorFactorPoint2: 2, gtsam.PriorFactorPoint3: 3}
     rotations = {gtsam.PoseRotationPrior2D: 2, gtsam.PoseRotationPrior3D: 3}
     if kind in poses:
         z = pose_of(factor.prior())
         return pose_priors(nodes, z[None], from_rotation_vectors(matrix()[None]))
-    d = translations.get(kind) or rotations.get(kind)
+    d = translations.get(kind) or rotations.get(kind) or points.get(kind)
     if d is None:
         return None
     z, w = lie.identity(d), np.zeros((lie.DOF[d], lie.DOF[d]))
     if kind in translations:
         z[:d], w[:d, :d] = factor.measured(), matrix()
+    elif kind in points:
+        z[:d], w[:d, :d] = factor.prior(), matrix()
     else:
         z[d:] = rotation_of(factor.measured())
         w[d:, d:] = matrix() if d == 2 else 4 * matrix()
