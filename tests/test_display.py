@@ -154,11 +154,20 @@ def test_a_graph_that_no_initial_guess_can_do_is_refused(monkeypatch):
         masat.compare(PoseGraph.from_arrays([(0, 1)], [(1, 0, 0)]))
 
 
+def test_sentences_in_a_table_are_to_the_left_and_wrapped():
+    html = display.table_html(
+        ("name", "meaning"), [("a", "a sentence that has more than forty characters")]
+    )
+    assert 'max-width:40em">meaning</th>' in html
+    assert "nowrap" not in html.split("meaning")[1]
+
+
 def test_tables_escape_text():
     assert display.table_html(("a", "<b>"), [("x", "&")], ["<i>"]) == (
-        '<div><table><tr><th style="text-align:left">a</th><th style="text-align:right">&lt;b&gt;'
-        '</th></tr><tr><td style="text-align:left;white-space:nowrap">x</td><td style="'
-        'text-align:right;white-space:nowrap">&amp;</td></tr></table><div>&lt;i&gt;</div></div>'
+        '<div><table><tr><th style="text-align:left;white-space:nowrap">a</th><th style="'
+        'text-align:right;white-space:nowrap">&lt;b&gt;</th></tr><tr><td style="text-align:left;'
+        'white-space:nowrap">x</td><td style="text-align:right;white-space:nowrap">&amp;</td></tr>'
+        "</table><div>&lt;i&gt;</div></div>"
     )
 
 

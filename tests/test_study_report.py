@@ -204,6 +204,10 @@ def test_a_table_for_latex_has_no_commands_of_its_own():
     assert r"\caption{Rates of \$x\$}" in text
     assert r"\label{tab:by-init}" in text
     assert r"\begin{tabular}{lr}" in text
+    sentences = Table(
+        "t", ("name", "meaning"), (("p", "a sentence that has more than forty characters"),)
+    )
+    assert r"\begin{tabular}{lp{0.6\linewidth}}" in latex(sentences, "")
     assert (
         r"    a \& b\_1 & 50 \% \textasciitilde{} \#1 \{x\} \textbackslash{}y"
         r"\textasciicircum{}2 \textless{}1 \\"

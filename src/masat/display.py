@@ -21,6 +21,7 @@ _MAX_DRAWN_EDGES = 50_000
 # A page of this many edges has about 2 MB, and a notebook holds one for each result that it shows.
 _MAX_VIEWED_EDGES = 20_000
 _LONGEST_LIST = 5
+_LONGEST_CELL = 40
 # Backgrounds of white text, readable in light and dark notebooks.
 _COLORS = {
     "optimal": "#1a7f37",
@@ -118,23 +119,33 @@ def certificate_html(certificate: Any) -> str:
 def table_html(
     columns: Sequence[str], rows: Iterable[Sequence[str]], remarks: Iterable[str] = ()
 ) -> str:
-    """Return a table as HTML, its first column to the left, and remarks below it."""
-    sides = ["left", *("right" for _ in columns[1:])]
-    head = "".join(
-        f'<th style="text-align:{side}">{escape(text)}</th>'
-        for side, text in zip(sides, columns, strict=True)
-    )
-    body = "".join(
-        "<tr>"
-        + "".join(
-            f'<td style="text-align:{side};white-space:nowrap">{escape(text)}</td>'
-            for side, text in zip(sides, row, strict=True)
-        )
-        + "</tr>"
-        for row in rows
-    )
+    """Return a table as HTML, and remarks below it.
+
+    The first column and those of sentences are aligned to the left, the others to the right.
+    """
+    body = list(rows)
+    styles = [
+        "text-align:left;max-width:40em"
+        if holds_sentences(row[k] for row in body)
+        else f"text-align:{'right' if k else 'left'};white-space:nowrap"
+        for k in range(len(columns))
+    ]
+    lines = [_cells("th", columns, styles), *(_cells("td", row, styles) for row in body)]
     below = "".join(f"<div>{escape(text)}</div>" for text in remarks)
-    return f"<div><table><tr>{head}</tr>{body}</table>{below}</div>"
+    return f"<div><table>{''.join(lines)}</table>{below}</div>"
+
+
+def holds_sentences(cells: Iterable[str]) -> bool:
+    """Return whether a column of a table holds texts that are too long for one line."""
+    return any(len(cell) > _LONGEST_CELL for cell in cells)
+
+
+def _cells(tag: str, texts: Sequence[str], styles: Sequence[str]) -> str:
+    inside = "".join(
+        f'<{tag} style="{style}">{escape(text)}</{tag}>'
+        for text, style in zip(texts, styles, strict=True)
+    )
+    return f"<tr>{inside}</tr>"
 
 
 def _html(title: str, rows: list[_Row], drawn: PoseGraph | None, status: str = "") -> str:

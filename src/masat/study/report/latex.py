@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from masat.display import holds_sentences
 from masat.study.report.document import Block, Heading, Paragraph, Table
 
 _SPECIAL = {
@@ -14,6 +15,7 @@ _SPECIAL = {
     ">": r"\textgreater{}",
     **{sign: f"\\{sign}" for sign in "&%$#_{}"},
 }
+_SENTENCES = r"p{0.6\linewidth}"
 _SPECIALS = re.compile("|".join(map(re.escape, _SPECIAL)))
 
 
@@ -27,14 +29,17 @@ def latex(table: Table, caption: str) -> str:
     caption : str
         Plain text for the caption.
     """
-    sides = "l" + "r" * (len(table.columns) - 1)
+    sides = [
+        _SENTENCES if holds_sentences(row[k] for row in table.rows) else "r" if k else "l"
+        for k in range(len(table.columns))
+    ]
     lines = [
         "% In the preamble: \\usepackage{booktabs}",
         "\\begin{table}",
         "  \\centering",
         f"  \\caption{{{escaped(caption)}}}",
         f"  \\label{{tab:{table.name.replace('_', '-')}}}",
-        f"  \\begin{{tabular}}{{{sides}}}",
+        f"  \\begin{{tabular}}{{{''.join(sides)}}}",
         "    \\toprule",
         _row(table.columns),
         "    \\midrule",

@@ -52,7 +52,7 @@ def closure_views(design: Design, trials: list[ClosureTrial], folder: Path) -> I
     yield from _section(
         chosen,
         "One instance of each graph with the largest fraction of false loop closures, solved with "
-        "robust=True: a page shows the rejected loop closures, dashed, and the clean map before.",
+        "robust=True: a page shows the rejected loop closures, dashed, and the clean map as truth.",
     )
     for case in chosen:
         what = spoiled(case, design.max_iterations)
