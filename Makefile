@@ -11,7 +11,7 @@ define install_extra
 	$(BIN)/pip install -q -r $(VENV)/$(1).txt
 endef
 
-.PHONY: demo test test-slow test-browser test-evo lint format sanitize sanitize-threads compilers benchmark clean
+.PHONY: demo test test-slow test-browser test-evo test-bridges lint format sanitize sanitize-threads compilers benchmark clean
 
 demo: $(VENV)/.masat
 	$(BIN)/masat demo
@@ -64,6 +64,12 @@ test-browser: $(VENV)/.test
 test-evo: $(VENV)/evo/.done
 	$(VENV)/evo/bin/python -m pytest -q tests/test_evo.py
 
+# The bridges with all other packages, which together take 2 GB, in an environment of their own.
+# The pytest plugin of dash, which open3d installs, is older than our pytest.
+test-bridges: $(VENV)/bridges/.done
+	$(VENV)/bridges/bin/python -m pytest -q -p no:dash tests/test_bridges.py tests/test_gtsam.py \
+	  tests/test_notebooks.py tests/test_docs.py
+
 # With each supported compiler of this machine: builds the core and runs its tests.
 compilers: $(VENV)/.test
 	tools/compilers.sh $(BIN)
@@ -97,6 +103,11 @@ $(VENV)/.lint: $(VENV)/bin/pip pyproject.toml
 $(VENV)/evo/.done: $(VENV)/bin/pip $(SOURCES)
 	$(PYTHON) -m venv $(VENV)/evo
 	$(VENV)/evo/bin/pip install -q '.[test]' evo==1.38.1
+	@touch $@
+
+$(VENV)/bridges/.done: $(VENV)/bin/pip $(SOURCES)
+	$(PYTHON) -m venv $(VENV)/bridges
+	$(VENV)/bridges/bin/pip install -q '.[test,gtsam,networkx,pandas,open3d,rerun]'
 	@touch $@
 
 $(VENV)/bench/.done: $(VENV)/bin/pip $(SOURCES)

@@ -1,4 +1,5 @@
 import json
+import re
 import subprocess
 import sys
 from time import sleep
@@ -10,6 +11,7 @@ import masat
 from masat import PoseGraph
 from masat.cli import progress
 from masat.initializers import INITIALIZERS
+from masat.viewing.payload import unpack
 from masat.worlds import manhattan, perturb, sphere
 
 
@@ -141,6 +143,15 @@ def test_compare_lists_each_start(run, world, tmp_path):
     said = json.loads(run("compare", world, "--json")[1])
     assert [s["init"] for s in said["inits"]] == list(INITIALIZERS)
     assert said["failed"] == {}
+
+
+def test_compare_writes_a_view_of_all_maps(run, world, tmp_path):
+    code, _, _ = run("compare", world, "--view", tmp_path / "maps.html")
+    assert code == 0
+    page = (tmp_path / "maps.html").read_text()
+    header, _ = unpack(re.search(r'text/plain">(.*?)</', page)[1])
+    assert len(header["states"]) == len(INITIALIZERS)
+    assert min(header["chi2"]) == pytest.approx(header["chi2"][-1])
 
 
 def test_compare_tells_which_initial_guesses_fail_and_why(run, tmp_path):

@@ -1,4 +1,5 @@
 import base64
+import re
 from html.parser import HTMLParser
 from types import SimpleNamespace
 
@@ -9,6 +10,7 @@ from random_graphs import random_graph
 import masat
 from masat import PoseGraph, display
 from masat.display import certificate_html, diagnosis_html, graph_html, result_html
+from masat.viewing.payload import unpack
 from masat.worlds import manhattan, perturb
 
 
@@ -17,12 +19,14 @@ class _Page(HTMLParser):
 
     def __init__(self, html):
         super().__init__()
-        self.rows, self.pictures, self._open = [], [], []
+        self.rows, self.pictures, self.pages, self._open = [], [], [], []
         self.feed(html)
         assert self._open == []
 
     def handle_starttag(self, tag, attributes):
-        assert tag in {"div", "b", "span", "table", "tr", "td"}
+        assert tag in {"div", "b", "span", "table", "tr", "td", "th", "iframe"}
+        if tag == "iframe":
+            self.pages.append(dict(attributes)["srcdoc"])
         self._open.append(tag)
         if tag == "tr":
             self.rows.append([])
@@ -103,11 +107,68 @@ def test_a_result_is_shown():
     result = masat.optimize(
         masat.initialize(perturb(manhattan(100, 150, extent=6), (0.1,) * 3), "masat")
     )
-    rows, (picture,) = page(result_html(result))
+    rows, pictures = page(result_html(result))
     assert rows["chi2"] == f"{result.initial_chi2:.6g} → {result.chi2:.6g}"
     assert (rows["converged"], rows["stopped"]) == ("yes", result.message)
     assert rows["iterations"] == str(result.iterations)
-    assert picture.startswith(b"\x89PNG")
+    # The map is the interactive page, and no picture repeats it.
+    (shown,) = _Page(result_html(result)).pages
+    header, arrays = unpack(re.search(r'text/plain">(.*?)</', shown)[1])
+    assert header["chi2"] == [pytest.approx(result.chi2)]
+    assert len(arrays["ends"]) == len(result.graph.edges)
+    assert pictures == []
+
+
+def test_a_large_result_is_shown_with_a_picture(monkeypatch):
+    monkeypatch.setattr(display, "_MAX_VIEWED_EDGES", 2)
+    result = masat.optimize(RING)
+    read = _Page(result_html(result))
+    assert read.pages == []
+    assert read.pictures[0].startswith(b"\x89PNG")
+
+
+def test_a_comparison_is_a_table():
+    found = masat.compare(RING)
+    read = _Page(found._repr_html_())
+    head, *rows = read.rows[: len(found.runs) + 1]
+    assert tuple(head) == found.columns
+    assert [row[0] for row in rows] == [run.init for run in found.runs]
+    assert found.best.result.chi2 == min(run.result.chi2 for run in found.runs)
+    assert [row[-1] for row in rows if row[0] == found.best.init] == ["best"]
+    assert repr(found).startswith(f"Comparison({len(found.runs)} runs, best chi2 ")
+
+
+def test_a_comparison_says_what_fails_and_shows_its_maps():
+    graph = random_graph(3, 20, 10, seed=1, noise=0.01)
+    found = masat.compare(graph.without_edges([]))
+    assert "lago" in found.failures
+    assert "lago fails: lago is for planar graphs only" in found._repr_html_()
+    header, _ = unpack(re.search(r'text/plain">(.*?)</', found.view().html)[1])
+    assert len(header["states"]) == len(found.runs)
+    assert header["chi2"][-1] == pytest.approx(found.best.result.chi2)
+
+
+def test_a_graph_that_no_initial_guess_can_do_is_refused(monkeypatch):
+    monkeypatch.setattr("masat.comparison.INITIALIZERS", {"given": None})
+    with pytest.raises(masat.InitializationError, match="no initial guess leads anywhere: "):
+        masat.compare(PoseGraph.from_arrays([(0, 1)], [(1, 0, 0)]))
+
+
+def test_sentences_in_a_table_are_to_the_left_and_wrapped():
+    html = display.table_html(
+        ("name", "meaning"), [("a", "a sentence that has more than forty characters")]
+    )
+    assert 'max-width:40em">meaning</th>' in html
+    assert html.count("nowrap") == 2  # the first column
+
+
+def test_tables_escape_text():
+    assert display.table_html(("a", "<b>"), [("x", "&")], ["<i>"]) == (
+        '<div><table><tr><th style="text-align:left;white-space:nowrap">a</th><th style="'
+        'text-align:right;white-space:nowrap">&lt;b&gt;</th></tr><tr><td style="text-align:left;'
+        'white-space:nowrap">x</td><td style="text-align:right;white-space:nowrap">&amp;</td></tr>'
+        "</table><div>&lt;i&gt;</div></div>"
+    )
 
 
 def test_jupyter_shows_a_diagnosis():

@@ -3,6 +3,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from random_graphs import random_poses
 
 from masat import GraphError, lie
 
@@ -314,3 +315,37 @@ def test_a_heading_that_is_no_number_stays_none():
 def test_shapes_that_fit_no_group_are_refused(call, message):
     with pytest.raises(GraphError, match=message):
         call()
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_poses_become_matrices_and_back(dimension):
+    poses = random_poses(dimension, 50, np.random.default_rng(4)).reshape(5, 10, -1)
+    matrices = lie.to_matrices(poses)
+    assert matrices.shape == (5, 10, dimension + 1, dimension + 1)
+    back = lie.from_matrices(matrices)
+    assert back.shape == poses.shape
+    assert np.abs(lie.local(poses, back)).max() < 1e-14
+    # The matrix of a product is the product of the matrices.
+    a, b = matrices[0], matrices[1]
+    assert np.allclose(lie.to_matrices(lie.compose(poses[0], poses[1])), a @ b, atol=1e-14)
+
+
+def test_a_matrix_by_hand():
+    assert lie.to_matrices((1, 2, np.pi / 2)) == pytest.approx(
+        np.array([[0, -1, 1], [1, 0, 2], [0, 0, 1]]), abs=1e-15
+    )
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [np.diag([1, 1, 1, 2]), np.diag([1, 1, -1, 1]), np.diag([2, 1, 1, 1]), 2 * np.eye(3)],
+)
+def test_what_is_no_rigid_motion_is_refused(matrix):
+    with pytest.raises(GraphError, match="matrix 0 is no rotation with a translation"):
+        lie.from_matrices(matrix)
+
+
+@pytest.mark.parametrize("shape", [(4,), (5, 5), (3, 4), ()])
+def test_other_shapes_are_no_matrices(shape):
+    with pytest.raises(GraphError, match="matrices must have shape"):
+        lie.from_matrices(np.zeros(shape))

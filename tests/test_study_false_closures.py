@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import sqlite3
 from dataclasses import replace
 
@@ -270,7 +271,7 @@ def test_a_study_runs_once_is_stored_and_reported(tmp_path):
         for kept in trials[::7]:
             (again,) = run_case(kept.case, (kept.method,), TINY.max_iterations)
             assert again.scores == kept.scores
-        build_report(store, tmp_path / "report")
+        build_report(store, tmp_path / "report", views=True)
     with Store(tmp_path / "store") as store:
         assert store.design == TINY
         assert list(store.trials()) == trials
@@ -278,7 +279,11 @@ def test_a_study_runs_once_is_stored_and_reported(tmp_path):
     text = (folder / "report.md").read_text()
     assert text.startswith("# Lies\n")
     assert f"{TINY.runs()} of {TINY.runs()} runs" in text
-    assert (folder / "rates.png").exists()
+    for name in ("rates.svg", "rates.pdf", "times.svg", "times.pdf"):
+        assert (folder / name).exists()
+    # One map of each world, at the largest fraction.
+    views = {re.search(r"_(\w+)_\d", path.name)[1] for path in folder.glob("map_*.html")}
+    assert len(views) == len(TINY.worlds)
     for table in ("success", "strict_success", "precision", "recall", "error", "time"):
         head, *rows = csv.reader((folder / f"{table}.csv").read_text().splitlines())
         assert head == ["graph", "noise", "kind", "fraction", *TINY.methods]

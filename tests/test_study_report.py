@@ -6,13 +6,21 @@ import numpy as np
 import pytest
 from studies import SMALL, WORLD, run_all, trial
 
+from masat.initializers import INITIALIZERS
 from masat.study import Case, Design, Store
 from masat.study.report import build_report
 from masat.study.report.cells import cells_of
 from masat.study.report.document import Table, markdown
+from masat.study.report.figures import _COLORS, _MARKERS
+from masat.study.report.glossary import MEANINGS, spoken_world
+from masat.study.report.latex import latex
 from masat.study.report.paper import Published, outside, published
 from masat.study.report.paper_figures import paper_figures
 from masat.study.report.tables import success_table
+from masat.study.robust_methods import METHODS
+from masat.study.worlds import GROUND_TRUTH
+from masat.viewing.payload import unpack
+from masat.worlds.false_closures import KINDS
 
 NOISE_2D, NOISE_3D, NOISE_SIX = (0.1, 0.1, 0.1), (0.05, 0.02), (0.05, 0.05, 0.1, 0.02, 0.02, 0.03)
 MIXED = Design(
@@ -42,7 +50,7 @@ def test_the_report_holds_tables_figures_and_one_page(tmp_path):
     assert "18 of 18 runs" in text
     assert "| manhattan:150:230 | (.1,.1,.1) |" in text
     page = (tmp_path / "report" / "report.html").read_text()
-    assert page.count("data:image/png;base64,") == 2
+    assert page.count("data:image/svg+xml;base64,") == 2
     assert "http" not in page
     rates = rows_of(tmp_path, "success_relative")
     assert len(rates) == 3
@@ -115,7 +123,7 @@ def test_real_graphs_alone_are_reported(tmp_path):
     assert "noise" not in text
     assert "| MIT | masat | 5 | 4 | 2 |" in text
     assert "| failed: OSError: gone |" in text
-    assert not (tmp_path / "report" / "rates.png").exists()
+    assert not (tmp_path / "report" / "rates.svg").exists()
 
 
 def test_real_graphs_in_2d_and_3d_run(tmp_path, monkeypatch, data_dir):
@@ -188,3 +196,79 @@ def test_a_cell_of_a_markdown_table_stays_one_cell():
     text = markdown([Table("t", ("a",), (("x | y\nz",),))])
     assert text.splitlines()[-1] == "| x \\| y z |"
     assert len(re.findall(r"\n", text)) == 3
+
+
+def test_a_table_for_latex_has_no_commands_of_its_own():
+    table = Table("by_init", ("world", "ground_truth"), (("a & b_1", r"50 % ~ #1 {x} \y^2 <1"),))
+    text = latex(table, "Rates of $x$")
+    assert r"\caption{Rates of \$x\$}" in text
+    assert r"\label{tab:by-init}" in text
+    assert r"\begin{tabular}{lr}" in text
+    sentences = Table(
+        "t", ("name", "meaning"), (("p", "a sentence that has more than forty characters"),)
+    )
+    assert r"\begin{tabular}{lp{0.6\linewidth}}" in latex(sentences, "")
+    assert (
+        r"    a \& b\_1 & 50 \% \textasciitilde{} \#1 \{x\} \textbackslash{}y"
+        r"\textasciicircum{}2 \textless{}1 \\"
+    ) in text
+
+
+def test_a_report_for_a_paper_has_vectors_and_latex(tmp_path):
+    with Store(tmp_path / "store", replace(SMALL, title="Two levels")) as store:
+        run_all(store)
+        made = build_report(store, tmp_path / "report", latex=True)
+        again = build_report(store, tmp_path / "again")
+    names = {path.name for path in (tmp_path / "report").iterdir()}
+    assert {"rates.pdf", "rates.svg", "times.pdf", "times.svg", "success_relative.tex"} <= names
+    for table in made.tables:
+        caption = (tmp_path / "report" / f"{table}.tex").read_text()
+        assert r"\caption{Two levels. " in caption
+    assert not list((tmp_path / "again").glob("*.tex"))
+    # The same study gives the same figures, byte for byte.
+    for name in ("rates.pdf", "rates.svg", "times.pdf", "times.svg"):
+        one, two = (tmp_path / folder / name for folder in ("report", "again"))
+        assert one.read_bytes() == two.read_bytes()
+    assert made.html == again.html
+    assert "Two levels: success rates" in made.html
+
+
+def test_each_name_in_a_report_is_explained(tmp_path):
+    with Store(tmp_path / "one", SMALL) as store:
+        run_all(store)
+        table = build_report(store, tmp_path / "made").tables["abbreviations"]
+    names = [name for name, _ in table.rows]
+    assert names == ["masat", "spanning_tree", "ground_truth", "chi2", "p", "ms", "s"]
+    for name in (*INITIALIZERS, *METHODS, *KINDS, GROUND_TRUTH):
+        assert name in MEANINGS or name == "given", name
+
+
+def test_no_two_of_what_is_compared_look_alike():
+    looks = {
+        (_MARKERS[i % len(_MARKERS)], _COLORS[i % len(_COLORS)], i % 2)
+        for i in range(len(_MARKERS) * len(_COLORS))
+    }
+    assert len(looks) == 77
+    assert len({_MARKERS[i % len(_MARKERS)] for i in range(11)}) == 11
+
+
+def test_worlds_are_spelled_out():
+    assert spoken_world("manhattan:1000:1550") == "manhattan, 1,000 nodes, 1,550 edges"
+    assert spoken_world("sphere:500") == "sphere, 500 nodes"
+    assert spoken_world("City10k") == "City10k"
+    assert spoken_world("./a:b.g2o (.1)") == "./a:b.g2o (.1)"
+
+
+def test_a_report_holds_views_on_request(tmp_path):
+    with Store(tmp_path / "store", replace(SMALL, instances=1)) as store:
+        run_all(store)
+        made = build_report(store, tmp_path / "report", views=True)
+    (page,) = (tmp_path / "report").glob("map_*.html")
+    assert page.name == "map_manhattan_150_230_2_2_2_0.html"
+    assert made.html.count("<iframe srcdoc=") == 1
+    header, arrays = unpack(re.search(r'text/plain">(.*?)</', page.read_text())[1])
+    assert header["title"].startswith("manhattan:150:230/.2,.2,.2/0, best from ")
+    assert len(header["states"]) == len(arrays["chi2"]) == len(SMALL.inits)
+    assert min(header["chi2"]) == header["chi2"][-1]
+    assert f"]({page.name})" in (tmp_path / "report" / "report.md").read_text()
+    assert "<iframe" in made._repr_html_()

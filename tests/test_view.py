@@ -15,12 +15,12 @@ from masat import lie
 from masat.cli import cli
 from masat.cli.view import view as command
 from masat.residuals import residuals
-from masat.view.page import MODULES
-from masat.view.payload import pack, unpack
-from masat.view.states import _chosen
+from masat.viewing.page import MODULES
+from masat.viewing.payload import pack, unpack
+from masat.viewing.states import _chosen
 from masat.worlds import add_false_closures, manhattan, perturb, sphere
 
-SCRIPTS = files("masat.view") / "js"
+SCRIPTS = files("masat.viewing") / "js"
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@
 from typing import Any
 
 from masat.chain import sessions
+from masat.comparison import Comparison, compare
 from masat.covariance import covariances, landmark_covariances, relative_covariances
 from masat.diagnostics import Diagnosis, diagnose
 from masat.errors import (
@@ -42,10 +43,11 @@ from masat.optimality.certificate import Certificate, certify
 from masat.optimizers import Iteration, Result, StopReason, optimize
 from masat.plotting import plot
 from masat.solver import solve
-from masat.view import view
+from masat.viewing import view
 
 __all__ = [
     "Certificate",
+    "Comparison",
     "Diagnosis",
     "Evaluation",
     "EvaluationError",
@@ -67,6 +69,7 @@ __all__ = [
     "__version__",
     "altitudes",
     "certify",
+    "compare",
     "covariances",
     "diagnose",
     "east_north_up",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 # A picture of this many edges takes about 1.5 seconds on one core: a notebook must not wait longer.
 _MAX_DRAWN_EDGES = 50_000
+# A page of this many edges has about 2 MB, and a notebook holds one for each result that it shows.
+_MAX_VIEWED_EDGES = 20_000
 _LONGEST_LIST = 5
+_LONGEST_CELL = 40
 # Backgrounds of white text, readable in light and dark notebooks.
 _COLORS = {
     "optimal": "#1a7f37",
@@ -51,7 +54,10 @@ def graph_html(graph: PoseGraph) -> str:
 
 
 def result_html(result: Any) -> str:
-    """Return HTML with the outcome of an optimization, and a picture of the optimized graph."""
+    """Return HTML with the outcome of an optimization, and an interactive view of the map.
+
+    A large map gets a picture in place of the view, which would make the notebook large.
+    """
     rows: list[_Row] = [
         ("graph", lambda: f"{result.graph.dimension}D, {len(result.graph.ids):,} nodes, "
                           f"{len(result.graph.edges):,} edges"),
@@ -59,14 +65,18 @@ def result_html(result: Any) -> str:
         ("converged", lambda: "yes" if result.converged else "no"),
         ("stopped", lambda: result.message),
         ("chi2", lambda: f"{result.initial_chi2:.6g} → {result.chi2:.6g}"),
-        ("reduced chi2", lambda: _number(result.reduced_chi2)),
+        ("reduced chi2", lambda: number(result.reduced_chi2)),
         *([] if _attribute(result, "robust_cost") is None else [
-            ("robust cost", lambda: f"{_number(result.robust_cost)} with {result.loss}")]),
+            ("robust cost", lambda: f"{number(result.robust_cost)} with {result.loss}")]),
         ("iterations", lambda: len(result.history)),
         ("time", lambda: f"{result.seconds:.3g} s"),
         ("gauge", lambda: _list(result.gauge)),
     ]  # fmt: skip
-    return _html("Result", rows, _attribute(result, "graph"))
+    graph = _attribute(result, "graph")
+    page = _view(result, graph)
+    return (
+        f"<div>{_html('Result', rows, None)}{page}</div>" if page else _html("Result", rows, graph)
+    )
 
 
 def diagnosis_html(diagnosis: Diagnosis) -> str:
@@ -80,8 +90,8 @@ def diagnosis_html(diagnosis: Diagnosis) -> str:
         ("components", lambda: f"{len(d.components)}, of {_list(d.components)} nodes"),
         ("degree", lambda: f"{d.degree[0]} to {d.degree[2]} edges at a node"),
         ("information", lambda: f"eigenvalues {d.information[0]:.4g} to {d.information[1]:.4g}"),
-        ("chi2", lambda: _number(d.chi2)),
-        ("reduced chi2", lambda: _number(d.reduced_chi2)),
+        ("chi2", lambda: number(d.chi2)),
+        ("reduced chi2", lambda: number(d.reduced_chi2)),
         ("largest chi2", lambda: ", ".join(f"{a} → {b} ({c:.3g})" for a, b, c in d.worst_edges)),
         *_each("issue", _attribute(d, "issues")),
     ]  # fmt: skip
@@ -95,15 +105,47 @@ def certificate_html(certificate: Any) -> str:
     rows: list[_Row] = [
         ("certified", lambda: "yes" if c.certified else "no"),
         ("meaning", lambda: c.message),
-        ("chi2", lambda: _number(c.chi2)),
-        ("lower bound", lambda: _number(c.bound)),
-        ("gap", lambda: _number(c.gap)),
+        ("chi2", lambda: number(c.chi2)),
+        ("lower bound", lambda: number(c.bound)),
+        ("gap", lambda: number(c.gap)),
         ("caution", lambda: c.caveat or ""),
     ]
     better = _attribute(c, "better")
     if better is not None:
         rows.append(("better poses", lambda: f"chi2 {_chi2(better)}, in the picture"))
     return _html("Certificate", rows, better, status)
+
+
+def table_html(
+    columns: Sequence[str], rows: Iterable[Sequence[str]], remarks: Iterable[str] = ()
+) -> str:
+    """Return a table as HTML, and remarks below it.
+
+    The first column and those of sentences are aligned to the left, the others to the right.
+    """
+    body = list(rows)
+    styles = [
+        "text-align:left;max-width:40em"
+        if holds_sentences(row[k] for row in body)
+        else f"text-align:{'right' if k else 'left'};white-space:nowrap"
+        for k in range(len(columns))
+    ]
+    lines = [_cells("th", columns, styles), *(_cells("td", row, styles) for row in body)]
+    below = "".join(f"<div>{escape(text)}</div>" for text in remarks)
+    return f"<div><table>{''.join(lines)}</table>{below}</div>"
+
+
+def holds_sentences(cells: Iterable[str]) -> bool:
+    """Return whether a column of a table holds texts that are too long for one line."""
+    return any(len(cell) > _LONGEST_CELL for cell in cells)
+
+
+def _cells(tag: str, texts: Sequence[str], styles: Sequence[str]) -> str:
+    inside = "".join(
+        f'<{tag} style="{style}">{escape(text)}</{tag}>'
+        for text, style in zip(texts, styles, strict=True)
+    )
+    return f"<tr>{inside}</tr>"
 
 
 def _html(title: str, rows: list[_Row], drawn: PoseGraph | None, status: str = "") -> str:
@@ -150,6 +192,18 @@ def _picture(graph: PoseGraph | None) -> tuple[str, str]:
         return "", f"none: {error}"
 
 
+def _view(result: Any, graph: PoseGraph | None) -> str:
+    """Return a frame with the interactive view of a result, or nothing."""
+    try:
+        if graph is None or len(graph.edges) > _MAX_VIEWED_EDGES:
+            return ""
+        from masat.viewing import view
+
+        return view(result, title="map")._repr_html_()
+    except Exception:
+        return ""
+
+
 def _each(name: str, texts: Any) -> list[_Row]:
     return [(name, partial(str, text)) for text in texts or ()]
 
@@ -174,8 +228,14 @@ def _chi2(graph: PoseGraph) -> str:
     return f"{chi2_per_edge(graph).sum():.6g}"
 
 
-def _number(value: float | None) -> str:
+def number(value: float | None) -> str:
+    """Return six digits, or a dash."""
     return "-" if value is None else f"{value:.6g}"
+
+
+def duration(seconds: float) -> str:
+    """Return milliseconds or seconds."""
+    return f"{seconds * 1e3:.3g} ms" if seconds < 1 else f"{seconds:.2f} s"
 
 
 def _list(values: Any) -> str:

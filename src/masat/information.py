@@ -18,6 +18,35 @@ _ROUNDED_ZERO = 1e-14
 # normal equations keep half of the digits of a double.
 _MIN_EIGENVALUE_RATIO = 1e-9
 
+# Rotation before translation, and a rotation vector in place of the vector part of a quaternion,
+# which is half of it.
+_ROTATION_FIRST = [3, 4, 5, 0, 1, 2]
+_HALVES = np.array([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
+
+
+def for_rotation_vectors(information: Floats) -> Floats:
+    """Return information of poses, (m, d, d), as gtsam and Open3D have it.
+
+    In 3D they put the rotation first and measure it by the rotation vector. To first order that is
+    twice the vector part of the quaternion. In 2D nothing changes.
+    """
+    if information.shape[-1] == 3:
+        return information
+    order = _ROTATION_FIRST
+    return np.asarray(information[..., order, :][..., order] / np.outer(_HALVES, _HALVES))
+
+
+def from_rotation_vectors(information: Floats) -> Floats:
+    """Return information of gtsam or Open3D, (m, d, d), in the order of `PoseGraph`.
+
+    It is the inverse of `for_rotation_vectors`, without rounding.
+    """
+    if information.shape[-1] == 3:
+        return information
+    # The order exchanges two halves, so it is its own inverse.
+    order = _ROTATION_FIRST
+    return np.asarray((information * np.outer(_HALVES, _HALVES))[..., order, :][..., order])
+
 
 def indefinite(information: Floats) -> Ids:
     """Return the indices of the matrices, (m, d, d), that are not positive definite."""

@@ -17,6 +17,9 @@ from masat.errors import GraphError
 
 DOF = {2: 3, 3: 6}
 POSE_SIZE = {2: 3, 3: 7}
+# How far the product of a rotation matrix and its transpose may be from the identity. Matrices in
+# single precision, as sensors' drivers give them, pass.
+_ORTHOGONAL = 1e-6
 
 
 def identity(dimension: int) -> Floats:
@@ -168,6 +171,83 @@ def to_3d(a: ArrayLike) -> Floats:
     out = np.zeros((*poses.shape[:-1], 7))
     out[..., :2] = poses[..., :2]
     out[..., 5], out[..., 6] = np.sin(poses[..., 2] / 2), np.cos(poses[..., 2] / 2)
+    return out
+
+
+def to_matrices(a: ArrayLike) -> Floats:
+    """Return poses as homogeneous matrices.
+
+    Parameters
+    ----------
+    a : array_like, (..., 3) or (..., 7)
+        Poses.
+
+    Returns
+    -------
+    ndarray, (..., 3, 3) or (..., 4, 4)
+        Matrices that map coordinates of the pose's own frame to those of its parent.
+    """
+    (rows,), shape = _rows(a)
+    d = 2 if rows.shape[1] == 3 else 3
+    out = np.zeros((len(rows), d + 1, d + 1))
+    out[:, :d, :d] = _core.rotation_matrices(rows)
+    out[:, :d, d] = rows[:, :d]
+    out[:, d, d] = 1.0
+    return out.reshape(*shape, d + 1, d + 1)
+
+
+def from_matrices(matrices: ArrayLike) -> Floats:
+    """Return homogeneous matrices as poses.
+
+    Parameters
+    ----------
+    matrices : array_like, (..., 3, 3) or (..., 4, 4)
+        Matrices [R t; 0 1] of rotations R and translations t.
+
+    Returns
+    -------
+    ndarray, (..., 3) or (..., 7)
+        Poses.
+
+    Raises
+    ------
+    GraphError
+        If the shape is another one, or if a matrix is no rotation with a translation, to 1e-6.
+    """
+    given = checks.numbers("matrices", matrices)
+    size = given.shape[-1] if given.ndim else 0
+    if given.ndim < 2 or size not in (3, 4) or given.shape[-2] != size:
+        raise GraphError(f"matrices must have shape (..., 3, 3) or (..., 4, 4), got {given.shape}")
+    d, m = size - 1, given.reshape(-1, size, size)
+    r = m[:, :d, :d]
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(r @ r.transpose(0, 2, 1) - np.eye(d)).max(axis=(1, 2))
+    last = np.arange(size) == d
+    rigid = (off < _ORTHOGONAL) & (np.linalg.det(r) > 0) & (m[:, d] == last).all(axis=1)
+    for k in np.flatnonzero(~(rigid & np.isfinite(m).all(axis=(1, 2))))[:1]:
+        raise GraphError(f"matrix {k} is no rotation with a translation")
+    if d == 2:
+        poses = np.column_stack([m[:, :2, 2], np.arctan2(r[:, 1, 0], r[:, 0, 0])])
+    else:
+        poses = np.column_stack([m[:, :3, 3], quaternions(r)])
+    return poses.reshape(*given.shape[:-2], POSE_SIZE[d])
+
+
+def quaternions(r: Floats) -> Floats:
+    """Return qx, qy, qz, qw, (n, 4), of rotation matrices, (n, 3, 3)."""
+    x, y, z = r[:, 0, 0], r[:, 1, 1], r[:, 2, 2]
+    # 4 q q', whose row with the largest diagonal entry is the most accurate multiple of q.
+    q = np.empty((len(r), 4, 4))
+    q[:, 0, 0], q[:, 1, 1], q[:, 2, 2] = 1 + x - y - z, 1 - x + y - z, 1 - x - y + z
+    q[:, 3, 3] = 1 + x + y + z
+    q[:, 0, 1] = q[:, 1, 0] = r[:, 0, 1] + r[:, 1, 0]
+    q[:, 0, 2] = q[:, 2, 0] = r[:, 0, 2] + r[:, 2, 0]
+    q[:, 1, 2] = q[:, 2, 1] = r[:, 1, 2] + r[:, 2, 1]
+    q[:, 0, 3] = q[:, 3, 0] = r[:, 2, 1] - r[:, 1, 2]
+    q[:, 1, 3] = q[:, 3, 1] = r[:, 0, 2] - r[:, 2, 0]
+    q[:, 2, 3] = q[:, 3, 2] = r[:, 1, 0] - r[:, 0, 1]
+    longest = q[np.arange(len(r)), np.einsum("kii->ki", q).argmax(axis=1)]
+    out: Floats = longest / np.linalg.norm(longest, axis=1, keepdims=True)
     return out
 
 

@@ -3,100 +3,57 @@
 from __future__ import annotations
 
 from pathlib import Path
-from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import click
 
 from masat.cli import options, show
 from masat.cli.progress import Iterations, Stages
+from masat.comparison import Comparison, comparison_of, run_from
 from masat.errors import MasatError
 from masat.graph import PoseGraph
-from masat.initializers import INITIALIZERS, guess_of
-from masat.optimizers import Result, optimize
-from masat.progress import Progress
-
-# chi2 this much above the best, relatively, is another minimum.
-_SAME = 1e-6
+from masat.initializers import INITIALIZERS
 
 
-class Run(NamedTuple):
-    """One initial guess and where it led."""
-
-    init: str
-    seconds: float
-    guess: PoseGraph
-    result: Result
-
-
-def run(
-    graph: PoseGraph, method: str, *, quiet: bool, **limits: Any
-) -> tuple[list[Run], dict[str, str]]:
-    """Solve a graph from every initial guess; also return why some cannot be made."""
+def run(graph: PoseGraph, method: str, *, quiet: bool, **limits: Any) -> Comparison:
+    """Solve a graph from every initial guess, with progress on a terminal."""
     runs, failures = [], {}
     for init in INITIALIZERS:
-        begin = perf_counter()
+        stages = Stages(f"initial guess {init}", quiet=quiet)
+        watch = Iterations(init, limits.get("max_iterations", 100), quiet=quiet)
         try:
-            with Stages(f"initial guess {init}", quiet=quiet) as stages:
-                guess = guess_of(graph, init, progress=Progress(report=stages))
-            seconds = perf_counter() - begin
-            with Iterations(init, limits.get("max_iterations", 100), quiet=quiet) as watch:
-                result = optimize(guess, method, report=watch, **limits)
+            with stages, watch:
+                made = run_from(graph, init, method, report=watch, report_stage=stages, **limits)
         except MasatError as failure:
             failures[init] = str(failure)
             continue
-        runs.append(Run(init, seconds, guess, result))
-    if not runs:
-        raise MasatError(f"no initial guess leads anywhere: {next(iter(failures.values()))}")
-    return runs, failures
+        runs.append(made)
+    return comparison_of(runs, failures)
 
 
-def show_runs(runs: list[Run], failures: dict[str, str]) -> None:
+def show_runs(found: Comparison) -> None:
     """Print the table of the runs, and which failed."""
-    best = min(r.result.chi2 for r in runs)
-    show.table(
-        (
-            "initial guess",
-            "guess took",
-            "initial chi2",
-            "final chi2",
-            "reduced",
-            "iterations",
-            "solve took",
-            "end",
-        ),
-        [
-            (
-                r.init,
-                show.duration(r.seconds),
-                show.number(r.result.initial_chi2),
-                show.number(r.result.chi2),
-                show.number(r.result.reduced_chi2),
-                str(r.result.iterations),
-                show.duration(r.result.seconds),
-                _end(r.result, best),
-            )
-            for r in runs
-        ],
-    )
-    for init, reason in failures.items():
+    show.table(found.columns, found.rows)
+    for init, reason in found.failures.items():
         click.echo(f"{init} fails: {reason}")
 
 
-def runs_as_json(runs: list[Run]) -> list[dict[str, Any]]:
+def runs_as_json(found: Comparison) -> list[dict[str, Any]]:
     """Return what JSON says of the runs."""
-    return [{"init": r.init, "init_seconds": r.seconds, **show.summary(r.result)} for r in runs]
-
-
-def _end(result: Result, best: float) -> str:
-    if not result.converged:
-        return result.reason.name.lower().replace("_", " ")
-    return "best" if result.chi2 <= best * (1 + _SAME) else "local minimum"
+    return [
+        {"init": r.init, "init_seconds": r.seconds, **show.summary(r.result)} for r in found.runs
+    ]
 
 
 @click.command(epilog="Example:  masat compare M3500.g2o --optimizer gn")
 @options.graph_file
 @click.option("--plot", "picture", type=click.Path(path_type=Path), help="Picture of all results.")
+@click.option(
+    "--view",
+    "page",
+    type=click.Path(path_type=Path),
+    help="Interactive page (.html) whose slider goes through the maps, the best one last.",
+)
 @options.optimizer
 @options.output
 def compare(
@@ -104,6 +61,7 @@ def compare(
     file_format: str | None,
     indefinite: str,
     picture: Path | None,
+    page: Path | None,
     optimizer: str,
     max_iterations: int,
     tolerance: float,
@@ -112,10 +70,10 @@ def compare(
     quiet: bool,
 ) -> None:
     """Solve the pose graph in FILE from every initial guess: time, chi2, iterations."""
-    options.check_outputs(file, picture)
+    options.check_outputs(file, picture, page)
     options.check_picture(picture)
     graph = options.load(file, file_format, indefinite, quiet)
-    runs, failures = run(
+    found = run(
         graph,
         optimizer,
         quiet=quiet,
@@ -126,15 +84,17 @@ def compare(
     if picture is not None:
         from masat.plotting import plot
 
-        plot({r.init: r.result.graph for r in runs}, picture)
+        plot({r.init: r.result.graph for r in found.runs}, picture)
+    if page is not None:
+        found.view(page, title=file.name)
     if as_json:
         show.as_json(
             {
                 "file": str(file),
                 "notes": list(graph.notes),
-                "inits": runs_as_json(runs),
-                "failed": failures,
+                "inits": runs_as_json(found),
+                "failed": dict(found.failures),
             }
         )
     elif not quiet:
-        show_runs(runs, failures)
+        show_runs(found)

@@ -40,12 +40,10 @@ def demo(nodes: int, noise: float, seed: int, picture: Path, as_json: bool, quie
     options.check_picture(picture)
     truth = manhattan(nodes, int(1.55 * nodes), extent=int(nodes**0.5), seed=seed)
     graph = perturb(truth, (noise, noise, noise), seed=seed)
-    runs, failures = run(
-        graph, "gauss_newton", quiet=quiet, max_iterations=50, relative_tolerance=1e-6
-    )
+    found = run(graph, "gauss_newton", quiet=quiet, max_iterations=50, relative_tolerance=1e-6)
     from masat.plotting import plot
 
-    shown = [r for r in runs if r.init in _DRAWN]
+    shown = [r for r in found.runs if r.init in _DRAWN]
     plot(
         {f"initial guess: {r.init}": r.guess for r in shown}
         | {f"optimized from {r.init}": r.result.graph for r in shown},
@@ -53,11 +51,11 @@ def demo(nodes: int, noise: float, seed: int, picture: Path, as_json: bool, quie
         columns=len(shown),
     )
     if as_json:
-        show.as_json({"nodes": nodes, "edges": len(graph.edges), "inits": runs_as_json(runs)})
+        show.as_json({"nodes": nodes, "edges": len(graph.edges), "inits": runs_as_json(found)})
     elif not quiet:
         click.echo(
             f"A walk of {nodes} poses with {len(graph.edges)} measurements, noise {noise} m and "
             f"rad, Gauss-Newton with at most 50 iterations:"
         )
-        show_runs(runs, failures)
+        show_runs(found)
         click.echo(f"Picture: {picture}    Next: masat solve FILE -o OUT --plot OUT.png")

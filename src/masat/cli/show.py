@@ -8,8 +8,11 @@ from typing import Any
 
 import click
 
+from masat.display import duration, number
 from masat.optimality.certificate import Certificate
 from masat.optimizers import Result
+
+__all__ = ["as_json", "duration", "number", "rows", "status", "summary", "table", "weight_counts"]
 
 _COLORS = {"optimal": "green", "undecided": "yellow", "refuted": "red"}
 
@@ -40,16 +43,6 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     console = Console()
     # A pipe has no width: nothing is cut off there.
     Console(width=None if console.is_terminal else 160).print(grid)
-
-
-def number(value: float | None) -> str:
-    """Return six digits, or a dash."""
-    return "-" if value is None else f"{value:.6g}"
-
-
-def duration(seconds: float) -> str:
-    """Return milliseconds or seconds."""
-    return f"{seconds * 1e3:.3g} ms" if seconds < 1 else f"{seconds:.2f} s"
 
 
 def status(certificate: Certificate) -> str:

@@ -136,15 +136,25 @@ def status(folder: Path, as_json: bool) -> None:
     type=click.Path(path_type=Path),
     help="Folder of the report; made if needed.",
 )
+@click.option("--latex", is_flag=True, help="Write the tables for LaTeX, too (.tex).")
+@click.option(
+    "--views",
+    is_flag=True,
+    help="Solve one instance of each world again, and embed its interactive map in the report.",
+)
 @click.option("-q", "--quiet", is_flag=True, help="Print only errors.")
-def report(folder: Path, out: Path, quiet: bool) -> None:
-    """Write the report of the study in FOLDER, finished or not: tables, tests and figures."""
+def report(folder: Path, out: Path, latex: bool, views: bool, quiet: bool) -> None:
+    """Write the report of the study in FOLDER, finished or not: tables, tests and figures.
+
+    Figures are written as SVG, or PNG where they show maps, and as PDF for a paper.
+    """
     from masat.study.report import build_report
 
     with Store(folder) as store:
-        written = build_report(store, out)
+        made = build_report(store, out, latex=latex, views=views)
     if not quiet:
-        click.echo(f"written: {written[0]}, {written[1].name}, and {len(written) - 2} tables")
+        tables = len(made.tables)
+        click.echo(f"written: {made.files[0]}, {made.files[1].name}, and {tables} tables")
 
 
 @study.command()

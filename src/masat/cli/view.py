@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import webbrowser
 from pathlib import Path
 from time import perf_counter
@@ -10,14 +12,13 @@ from typing import Any
 import click
 
 from masat.arrays import Floats
+from masat.bridges.rerun import save_rerun
 from masat.cli import EXIT_NOT_CONVERGED, options, show
 from masat.cli.progress import Iterations, Stages
 from masat.graph import PoseGraph
 from masat.optimizers import Result
 from masat.solver import solve
-from masat.view import view as page_of
-
-_SUFFIX = ".html"
+from masat.viewing import view as page_of
 
 
 @click.command(
@@ -31,7 +32,7 @@ _SUFFIX = ".html"
     "--output",
     "out",
     type=click.Path(path_type=Path),
-    help="The page.  [default: the name of the last FILE with .html, in this folder]",
+    help="The page.  [default: the name of the last FILE with .html (or .rrd), in this folder]",
 )
 @click.option(
     "--solve",
@@ -55,7 +56,12 @@ _SUFFIX = ".html"
     "--covariances", is_flag=True, help="Draw the 95 % ellipses of the positions; takes longer."
 )
 @click.option("--title", help="Title of the page.  [default: the name of the last FILE]")
-@click.option("--open", "opens", is_flag=True, help="Open the page in the browser.")
+@click.option(
+    "--rerun",
+    is_flag=True,
+    help="Write a file for rerun's viewer (.rrd) instead of a page. Needs masat[rerun].",
+)
+@click.option("--open", "opens", is_flag=True, help="Open the page in the browser, or in rerun.")
 @options.output
 @click.pass_context
 def view(
@@ -71,6 +77,7 @@ def view(
     truth: Path | None,
     covariances: bool,
     title: str | None,
+    rerun: bool,
     opens: bool,
     as_json: bool,
     quiet: bool,
@@ -92,7 +99,9 @@ def view(
         masat view graph.g2o result.npz
     """
     source, last = files[-1], len(files) - 1
-    out = out or Path(f"{source.name.split('.')[0] or 'map'}{_SUFFIX}")
+    if rerun and covariances:
+        raise click.UsageError("--rerun draws no ellipses: leave out --covariances")
+    out = out or Path(f"{source.name.split('.')[0] or 'map'}{'.rrd' if rerun else '.html'}")
     for file in (*files, truth):
         options.check_outputs(file, out)
     loaded = [options.load_any(file, file_format, indefinite, quiet) for file in files]
@@ -111,27 +120,35 @@ def view(
         before[f"poses of {source.name}"] = graph
         shown = _solved(graph, source.name, iterations, init, root, robust, quiet)
     begin = perf_counter()
-    made = page_of(
-        shown,
-        out,
-        before=before,
-        iterations=iterations,
-        truth=truth_graph,
-        covariances=covariances,
-        title=title or source.name,
-    )
+    drawn: dict[str, Any] = {
+        "before": before,
+        "iterations": iterations,
+        "truth": truth_graph,
+        "title": title or source.name,
+    }
+    if rerun:
+        size = save_rerun(shown, out, **drawn)
+    else:
+        size = len(page_of(shown, out, covariances=covariances, **drawn).html.encode())
     seconds = perf_counter() - begin
     if as_json:
         about: dict[str, Any] = {"files": [str(file) for file in files], "page": str(out)}
-        show.as_json(about | {"bytes": len(made.html.encode()), "seconds": seconds})
+        show.as_json(about | {"bytes": size, "seconds": seconds})
     elif not quiet:
-        size = f"{len(made.html.encode()) / 1e6:.2g} MB"
-        click.echo(f"{out}  ({size}, {show.duration(seconds)}): open it in a browser")
+        how = f"open it with: rerun {out}" if rerun else "open it in a browser"
+        click.echo(f"{out}  ({size / 1e6:.2g} MB, {show.duration(seconds)}): {how}")
     if opens:
-        webbrowser.open(out.resolve().as_uri())
+        _open(out, rerun=rerun)
     if solves and isinstance(shown, Result) and not shown.converged:
         click.echo(f"masat: {source}: {shown.message}", err=True)
         ctx.exit(EXIT_NOT_CONVERGED)
+
+
+def _open(out: Path, *, rerun: bool) -> None:
+    if rerun:
+        subprocess.Popen([sys.executable, "-m", "rerun", str(out)])
+    else:
+        webbrowser.open(out.resolve().as_uri())
 
 
 def _solved(

@@ -20,11 +20,10 @@ from masat.arrays import Floats
 from masat.errors import FormatError, GraphError, InformationError
 from masat.formats.table import Format
 from masat.graph import PoseGraph
+from masat.information import from_rotation_vectors
 from masat.measurements import Landmarks, Priors, pose_priors, range_bearing
 from masat.measurements.landmarks import joined_landmarks
 
-# What one of g2o's steps is of gtsam's: half the rotation vector.
-_ORDER, _SCALE = [3, 4, 5, 0, 1, 2], np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
 _POSES, _POINTS = {"Pose2": 2, "Pose3": 3}, {"Point2": 2, "Point3": 3}
 _EDGES = {f"BetweenFactor{name}": d for name, d in _POSES.items()}
 _POSE_PRIORS = {f"PriorFactor{name}": d for name, d in _POSES.items()}
@@ -266,10 +265,7 @@ def _variances(covariance: Floats, size: int) -> Floats:
 
 def _information(covariance: Floats, dof: int) -> Floats:
     """Return information in g2o's order and scale."""
-    w = _inverse(covariance, dof)
-    if dof == 3:
-        return w
-    return w[_ORDER][:, _ORDER] * np.outer(_SCALE, _SCALE)
+    return from_rotation_vectors(_inverse(covariance, dof))
 
 
 def _inverse(covariance: Floats, size: int) -> Floats:

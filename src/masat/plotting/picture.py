@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
+from matplotlib import rc_context
 from matplotlib.figure import Figure
+
+_NO_DATES: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+# TrueType fonts, which journals ask for, and identifiers that do not change.
+_VECTORS: dict[Any, Any] = {"pdf.fonttype": 42, "svg.hashsalt": "masat"}
 
 
 class Picture(Figure):
@@ -15,9 +21,13 @@ class Picture(Figure):
     """
 
     def encode(self, file_format: str = "png") -> bytes:
-        """Return the picture in a format that matplotlib writes, such as png, pdf or svg."""
+        """Return the picture in a format that matplotlib writes, such as png, pdf or svg.
+
+        The same picture gives the same bytes: files have no dates. Text in a PDF stays text.
+        """
         buffer = io.BytesIO()
-        self.savefig(buffer, format=file_format)
+        with rc_context(_VECTORS):
+            self.savefig(buffer, format=file_format, metadata=_NO_DATES.get(file_format))
         return buffer.getvalue()
 
     def _repr_png_(self) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from masat.files import write_atomically
@@ -12,13 +13,45 @@ from masat.study.design import Design
 from masat.study.names import StudyError
 from masat.study.report.document import Block, Heading, Paragraph, Table, markdown, page
 from masat.study.report.false_closures import closure_blocks
+from masat.study.report.glossary import glossary
 from masat.study.report.inits import init_blocks
+from masat.study.report.latex import captions
+from masat.study.report.latex import latex as as_latex
+from masat.study.report.views import closure_views, init_views
 from masat.study.store import Store
 from masat.study.trial import Trial
+from masat.viewing.explorer import inline_page
 
 
-def build_report(store: Store, folder: Path) -> list[Path]:
-    """Write the report of a study: report.md, report.html, tables as CSV, figures as PNG.
+@dataclass(frozen=True, repr=False)
+class Report:
+    """The report of a study, which Jupyter displays.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        The files written: report.md, report.html, and the tables.
+    tables : dict of str to Table
+        The tables by name; Jupyter displays each.
+    html : str
+        The whole report as one page.
+    """
+
+    files: tuple[Path, ...]
+    tables: dict[str, Table]
+    html: str
+
+    def __repr__(self) -> str:
+        return f"Report({self.files[0]}, {len(self.tables)} tables)"
+
+    def _repr_html_(self) -> str:
+        return inline_page(self.html)
+
+
+def build_report(store: Store, folder: Path, *, latex: bool = False, views: bool = False) -> Report:
+    """Write the report of a study: report.md, report.html, tables as CSV, figures as SVG and PDF.
+
+    Pictures of maps, which have many lines, are PNG instead of SVG.
 
     Parameters
     ----------
@@ -26,11 +59,14 @@ def build_report(store: Store, folder: Path) -> list[Path]:
         The study; it need not be finished.
     folder : Path
         Made if it does not exist.
+    latex : bool
+        Whether to write the tables for LaTeX, too.
+    views : bool
+        Whether to solve one instance of each world again, and to embed the interactive view of it.
 
     Returns
     -------
-    list of Path
-        The files written: report.md, report.html, and the tables.
+    Report
 
     Raises
     ------
@@ -52,16 +88,24 @@ def build_report(store: Store, folder: Path) -> list[Path]:
         Paragraph(_summary(design, trials)),
     ]
     if design.methods:
-        blocks += closure_blocks(design, [t for t in trials if isinstance(t, ClosureTrial)], folder)
+        of_closures = [t for t in trials if isinstance(t, ClosureTrial)]
+        blocks += closure_blocks(design, of_closures, folder)
+        blocks += closure_views(design, of_closures, folder) if views else ()
     else:
-        blocks += init_blocks(design, [t for t in trials if isinstance(t, Trial)], folder)
-    written = [folder / f"{b.name}.csv" for b in blocks if isinstance(b, Table)]
-    for block in blocks:
-        if isinstance(block, Table):
-            write_atomically(folder / f"{block.name}.csv", block.csv())
-    write_atomically(folder / "report.md", markdown(blocks).encode())
-    write_atomically(folder / "report.html", page(blocks).encode())
-    return [folder / "report.md", folder / "report.html", *written]
+        of_inits = [t for t in trials if isinstance(t, Trial)]
+        blocks += init_blocks(design, of_inits, folder)
+        blocks += init_views(design, of_inits, folder) if views else ()
+    if trials:
+        blocks += glossary(design.columns, blocks)
+    texts = {"report.md": markdown(blocks), "report.html": page(blocks)}
+    for table, caption in captions(blocks, design.title):
+        texts[f"{table.name}.csv"] = table.csv()
+        if latex:
+            texts[f"{table.name}.tex"] = as_latex(table, caption)
+    for name, text in texts.items():
+        write_atomically(folder / name, text.encode())
+    tables = {block.name: block for block in blocks if isinstance(block, Table)}
+    return Report(tuple(folder / name for name in texts), tables, texts["report.html"])
 
 
 def _summary(design: Design, trials: Sequence[AnyTrial]) -> str:

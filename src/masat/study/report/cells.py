@@ -9,6 +9,7 @@ import numpy as np
 
 from masat.arrays import Floats
 from masat.study.names import Sigma, sigma_name
+from masat.study.report.glossary import spoken_world
 from masat.study.trial import Trial
 
 
@@ -23,7 +24,7 @@ class Cell:
     @property
     def panel(self) -> str:
         """Title of the panel of a figure."""
-        return self.world
+        return spoken_world(self.world)
 
     @property
     def level(self) -> str:

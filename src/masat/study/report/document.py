@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
+from masat.display import table_html
+
 
 @dataclass(frozen=True)
 class Heading:
@@ -34,22 +36,36 @@ class Table:
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
 
-    def csv(self) -> bytes:
+    def _repr_html_(self) -> str:
+        return table_html(self.columns, self.rows)
+
+    def csv(self) -> str:
         """Return the table as CSV."""
         buffer = io.StringIO()
         csv.writer(buffer, lineterminator="\n").writerows([self.columns, *self.rows])
-        return buffer.getvalue().encode()
+        return buffer.getvalue()
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture, a file beside the document."""
+    """A picture, a file beside the document: SVG or PNG. A PDF of the same name lies beside it."""
 
     path: Path
     caption: str
 
 
-Block: TypeAlias = Heading | Paragraph | Table | Figure
+@dataclass(frozen=True)
+class Embedded:
+    """An interactive page, a file beside the document."""
+
+    path: Path
+    caption: str
+
+
+Block: TypeAlias = Heading | Paragraph | Table | Figure | Embedded
+
+_MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
+_VIEW_HEIGHT = 560  # pixels
 
 
 def markdown(blocks: list[Block]) -> str:
@@ -63,6 +79,8 @@ def markdown(blocks: list[Block]) -> str:
                 parts.append(text)
             case Figure(path, caption):
                 parts.append(f"![{caption}]({path.name})\n\n*{caption}*")
+            case Embedded(path, caption):
+                parts.append(f"[{caption}]({path.name})")
             case Table(_, columns, rows):
                 lines = [columns, ("---",) * len(columns), *rows]
                 parts.append("\n".join(f"| {' | '.join(map(_cell, line))} |" for line in lines))
@@ -79,12 +97,13 @@ body { font: 15px/1.5 system-ui, sans-serif; max-width: 75rem; margin: 2rem auto
 table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; }
 th, td { padding: .15rem .6rem; text-align: right; border-bottom: 1px solid #ddd; }
 th:first-child, td:first-child { text-align: left; }
-img { max-width: 100%; } figcaption { color: #555; }
+img { max-width: 100%; } img[src^="data:image/svg"] { width: 62rem; }
+iframe { width: 100%; border: 1px solid #ddd; } figcaption { color: #555; }
 """
 
 
 def page(blocks: list[Block]) -> str:
-    """Return the document as one HTML file, pictures included."""
+    """Return the document as one HTML file, pictures and interactive pages included."""
     title, parts = "", []
     for block in blocks:
         match block:
@@ -97,16 +116,18 @@ def page(blocks: list[Block]) -> str:
                 data = base64.b64encode(path.read_bytes()).decode()
                 text = html.escape(caption)
                 parts.append(
-                    f'<figure><img alt="{text}" src="data:image/png;base64,{data}">'
-                    f"<figcaption>{text}</figcaption></figure>"
+                    f'<figure><img alt="{text}" src="data:{_MEDIA_TYPES[path.suffix]};base64,'
+                    f'{data}"><figcaption>{text}</figcaption></figure>'
                 )
-            case Table(_, columns, rows):
-                head = "".join(f"<th>{html.escape(c)}</th>" for c in columns)
-                body = "".join(
-                    "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>\n"
-                    for row in rows
+            case Embedded(path, caption):
+                inside = html.escape(path.read_text(encoding="utf-8"))
+                parts.append(
+                    f'<figure><iframe srcdoc="{inside}" title="{html.escape(caption)}" '
+                    f'loading="lazy" height="{_VIEW_HEIGHT}"></iframe>'
+                    f"<figcaption>{html.escape(caption)}</figcaption></figure>"
                 )
-                parts.append(f"<table><tr>{head}</tr>\n{body}</table>")
+            case Table():
+                parts.append(table_html(block.columns, block.rows))
     return (
         f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>{html.escape(title)}'
         f"</title><style>{_STYLE}</style>\n" + "\n".join(parts) + "\n</html>\n"

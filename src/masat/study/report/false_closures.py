@@ -8,14 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
+from masat.arrays import Floats
 from masat.study.closure_trial import ClosureTrial
 from masat.study.design import Design
 from masat.study.names import Sigma, number_name, sigma_name
 from masat.study.report.document import Block, Heading, Paragraph, Table
-from masat.study.report.figures import rate_figure
+from masat.study.report.figures import rate_figure, time_figure
+from masat.study.report.glossary import spoken_world
 from masat.study.report.tables import FAILED
 from masat.study.scores import Scores
 from masat.study.statistics import wilson
+
+_AXIS = "fraction of false loop closures"
 
 
 @dataclass
@@ -37,7 +41,8 @@ class SpoiledCell:
     @property
     def panel(self) -> str:
         """Title of the panel of a figure."""
-        return " ".join(part for part in self.row[:3] if part != "-")
+        world, noise, kind, _ = self.row
+        return f"{spoken_world(world)}\n{'' if noise == '-' else f'noise {noise}, '}{kind}"
 
     @property
     def level(self) -> str:
@@ -53,6 +58,10 @@ class SpoiledCell:
         """Return whether there are runs of a method and all of them failed."""
         trials = self.trials.get(method, [])
         return len(trials) > 0 and all(t.error for t in trials)
+
+    def seconds(self, method: str) -> Floats:
+        """Return the times of the runs of a method that did not fail."""
+        return np.array([t.seconds for t in self.trials.get(method, []) if not t.error])
 
     def scores(self, method: str) -> list[Scores]:
         """Return the scores of the runs of a method that did not fail."""
@@ -90,14 +99,25 @@ def closure_blocks(design: Design, trials: list[ClosureTrial], folder: Path) -> 
     yield rate_figure(
         by_fraction,
         methods,
-        folder / "rates.png",
-        "Success rates over the fraction of false loop closures; the bars are 95 % Wilson "
-        "intervals.",
+        folder / "rates.svg",
+        f"{design.title or 'Methods'}: success rates over the fraction of false loop closures. "
+        "Bars are 95 % Wilson intervals.",
+        _AXIS,
     )
     for title, name, meaning, text in _SECTIONS:
         yield Heading(title)
         yield Paragraph(meaning)
         yield _table(name, cells, methods, text)
+    yield time_figure(
+        by_fraction,
+        methods,
+        SpoiledCell.seconds,
+        folder / "times.svg",
+        f"{design.title or 'Methods'}: times over the fraction of false loop closures. Markers are "
+        "medians, bars 5 and 95 % of the runs.",
+        axis=_AXIS,
+        label="time [s]",
+    )
 
 
 def _cells_of(trials: list[ClosureTrial]) -> list[SpoiledCell]:

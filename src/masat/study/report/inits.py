@@ -84,9 +84,10 @@ def _noisy_blocks(design: Design, cells: list[Cell], folder: Path) -> Iterable[B
     yield rate_figure(
         cells,
         inits,
-        folder / "rates.png",
-        "Success rates by the relative threshold over the noise levels; the bars are 95 % Wilson "
-        "intervals.",
+        folder / "rates.svg",
+        f"{design.title or 'Initial guesses'}: success rates by the relative threshold over the "
+        "noise levels. Bars are 95 % Wilson intervals.",
+        _axis(design),
     )
     yield Heading("Success rate, absolute threshold")
     yield Paragraph("A run succeeds if an iteration changes chi2 by less than 1e-6.")
@@ -134,11 +135,26 @@ def _noisy_blocks(design: Design, cells: list[Cell], folder: Path) -> Iterable[B
             f"{reference}' is its success rate."
         )
         yield total_table(cells, compared, reference)
-    yield time_figure(cells, reference, folder / "times.png")
+    yield time_figure(
+        cells,
+        others or inits,
+        Cell.init_ms,
+        folder / "times.svg",
+        f"{design.title or 'Initial guesses'}: times of the initial guesses over the noise levels. "
+        "Markers are medians, bars 5 and 95 % of all instances.",
+        axis=_axis(design),
+        label="initial guess [ms]",
+    )
     figures = paper_figures(cells, inits, paper, folder, design.max_iterations)
     if figures:
         yield Heading("The paper's figures")
         yield from figures
+
+
+def _axis(design: Design) -> str:
+    if {dimension_of(world) for world in design.worlds} == {2}:
+        return "noise of x, y [m] and theta [rad]"
+    return "noise [m, rad]"
 
 
 def _reference(inits: tuple[str, ...]) -> str:

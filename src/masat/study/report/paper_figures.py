@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from masat.files import write_atomically
 from masat.graph import PoseGraph
 from masat.plotting import plot
 from masat.study.names import Case, Sigma
 from masat.study.report.cells import Cell
 from masat.study.report.document import Figure
+from masat.study.report.glossary import spoken
 from masat.study.report.paper import Published
 from masat.study.trial import initial_guess, instance, solve
 from masat.study.worlds import GROUND_TRUTH
@@ -65,7 +67,7 @@ class _Drawer:
         if cell is None:
             return
         case = _telling_instance(cell, fails=_TREE, succeeds=_MASAT)
-        listed = ", ".join(map(_spoken, inits[:-1])) + f" and {_spoken(inits[-1])}"
+        listed = ", ".join(map(spoken, inits[:-1])) + f" and {spoken(inits[-1])}"
         self._add(
             number,
             self._solutions(case, inits),
@@ -93,7 +95,7 @@ class _Drawer:
         graph = instance(case)
         self._add(
             number,
-            {_spoken(init): initial_guess(graph, init) for init in _INITS},
+            {spoken(init): initial_guess(graph, init) for init in _INITS},
             f"The initial guesses beside the truth, with noise of theta alone: {case.name}. A "
             "sigma of 0 leaves x and y exact.",
         )
@@ -116,14 +118,15 @@ class _Drawer:
         graph = instance(case)
         results = {init: solve(initial_guess(graph, init), self._limit) for init in inits}
         return {
-            f"{prefix}{_spoken(init)}, reduced chi2 {r.reduced_chi2:.3g}": r.graph
+            f"{prefix}{spoken(init)}, reduced chi2 {r.reduced_chi2:.3g}": r.graph
             for init, r in results.items()
         }
 
     def _add(self, number: int, panels: dict[str, PoseGraph], caption: str) -> None:
         path = self._folder / f"figure{number}.png"
         columns = 4 if len(panels) % 4 == 0 else 3
-        plot(panels, path, columns=columns, dpi=80 if columns < 4 else 60)
+        picture = plot(panels, path, columns=columns, dpi=80 if columns < 4 else 60)
+        write_atomically(path.with_suffix(".pdf"), picture.encode("pdf"))
         self.figures.append(Figure(path, f"Figure {number} of the paper. {caption}"))
 
 
@@ -132,10 +135,6 @@ _EXPLAINED = "Reduced chi2 is chi2 divided by the degrees of freedom."
 
 def _same(sigma: float) -> Sigma:
     return (sigma, sigma, sigma)
-
-
-def _spoken(init: str) -> str:
-    return init.replace("_", " ")
 
 
 def _telling_instance(cell: Cell, *, fails: str, succeeds: str) -> Case:

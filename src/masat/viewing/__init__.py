@@ -1,5 +1,5 @@
 """An interactive view of a map, as one HTML page."""
 
-from masat.view.viewing import View, view
+from masat.viewing.explorer import View, view
 
 __all__ = ["View", "view"]

@@ -12,11 +12,11 @@ from masat.chain import odometry_edges
 from masat.errors import GraphError
 from masat.graph import PoseGraph
 from masat.residuals import chi2_per_edge, residuals
-from masat.view.payload import single
+from masat.viewing.payload import single
 
 if TYPE_CHECKING:
     from masat.optimizers import Result
-    from masat.view.states import State
+    from masat.viewing.states import State
 
 # The name of a robot or a sensor is of use as a color, a text of its own for each edge is not.
 _MOST_LABELS = 64

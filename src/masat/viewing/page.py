@@ -44,7 +44,7 @@ def page(payload: str, title: str) -> str:
     Parameters
     ----------
     payload : str
-        What `masat.view.payload.pack` returns.
+        What `masat.viewing.payload.pack` returns.
     title : str
         Title of the window.
 
@@ -75,6 +75,6 @@ def _script() -> str:
 
 @cache
 def _text(*path: str) -> str:
-    folder: Any = files("masat.view")
+    folder: Any = files("masat.viewing")
     text: str = folder.joinpath(*path).read_text(encoding="utf-8")
     return text

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 from masat.arrays import AnyArray
 from masat.graph import PoseGraph
 from masat.optimizers import Result
-from masat.view.edges import Edges, check_fits
-from masat.view.nodes import center_of, node_arrays
-from masat.view.others import landmark_arrays, prior_arrays, truth_arrays
-from masat.view.states import states_of
+from masat.viewing.edges import Edges, check_fits
+from masat.viewing.nodes import center_of, node_arrays
+from masat.viewing.others import landmark_arrays, prior_arrays, truth_arrays
+from masat.viewing.states import states_of
 
 
 def scene_of(

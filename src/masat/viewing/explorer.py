@@ -13,7 +13,15 @@ from masat.files import write_atomically
 from masat.graph import PoseGraph
 from masat.optimizers import Result
 
-_HEIGHT = 640
+_HEIGHT = 560  # pixels: with it the page and the cell that made it fit on a laptop's screen
+
+
+def inline_page(html: str, height: int = _HEIGHT) -> str:
+    """Return an element that shows a whole page inside another one, such as a notebook."""
+    return (
+        f'<iframe srcdoc="{escape(html)}" style="width: 100%; height: {height}px; border: 0" '
+        "allowfullscreen></iframe>"
+    )
 
 
 class View:
@@ -34,10 +42,7 @@ class View:
         return f"View({len(self.html) / 1e6:.2g} MB of HTML; write it with save(path))"
 
     def _repr_html_(self) -> str:
-        return (
-            f'<iframe srcdoc="{escape(self.html)}" style="width: 100%; height: {_HEIGHT}px; '
-            'border: 0" allowfullscreen></iframe>'
-        )
+        return inline_page(self.html)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the page to a file, whole or not at all."""
@@ -106,9 +111,9 @@ def view(
     >>> page.save("map.html")  # doctest: +SKIP
     """
     # Presentation, which most programs do not need.
-    from masat.view.page import page
-    from masat.view.payload import pack
-    from masat.view.scene import scene_of
+    from masat.viewing.page import page
+    from masat.viewing.payload import pack
+    from masat.viewing.scene import scene_of
 
     if isinstance(before, PoseGraph):
         before = {"before": before}

@@ -12,7 +12,7 @@ from masat.errors import EvaluationError
 from masat.evaluation.alignment import aligned
 from masat.evaluation.matching import matched
 from masat.graph import PoseGraph
-from masat.view.payload import single
+from masat.viewing.payload import single
 
 if TYPE_CHECKING:
     from masat.optimizers import Result

@@ -12,8 +12,8 @@ from masat.arrays import AnyArray, Floats
 from masat.chain import sessions
 from masat.covariance import covariances
 from masat.graph import PoseGraph
-from masat.view.payload import single
-from masat.view.states import State
+from masat.viewing.payload import single
+from masat.viewing.states import State
 
 
 def center_of(graph: PoseGraph) -> tuple[Floats, float]:

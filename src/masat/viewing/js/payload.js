@@ -1,4 +1,4 @@
-// The data of the page: a header and typed arrays, as masat/view/payload.py packs them.
+// The data of the page: a header and typed arrays, as masat/viewing/payload.py packs them.
 
 const ARRAY_TYPES = {
   f4: Float32Array, f8: Float64Array, i4: Int32Array, i8: BigInt64Array, u1: Uint8Array, u2: Uint16Array,
