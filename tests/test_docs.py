@@ -263,3 +263,13 @@ def test_each_initial_guess_is_described_and_has_a_reason_to_stay(name):
 def test_the_changelog_knows_the_version():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_the_citation_and_the_recipe_have_the_version_and_the_requirements():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    recipe = (ROOT / "conda/recipe.yaml").read_text()
+    assert f"\nversion: {project['version']}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f'version: "{project["version"]}"' in recipe
+    for requirement in project["dependencies"]:
+        name, least = re.match(r"(\w+)>=([\d.]+)", requirement).groups()
+        assert re.search(rf"- {name}(-base)? >={re.escape(least)}\n", recipe), requirement

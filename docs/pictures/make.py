@@ -7,19 +7,6 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("svg")
-matplotlib.rcParams.update(
-    {
-        "svg.hashsalt": "masat",
-        "figure.facecolor": "white",  # The pages also have a dark scheme.
-        "font.size": 9,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-    }
-)
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.collections import LineCollection
@@ -28,6 +15,16 @@ from matplotlib.patches import Ellipse
 import masat
 from masat import lie
 from masat.worlds import add_false_closures, add_fixes, city, manhattan, perturb
+
+plt.rcParams.update(
+    {
+        "svg.hashsalt": "masat",
+        "figure.facecolor": "white",  # The pages also have a dark scheme.
+        "font.size": 9,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+    }
+)
 
 FOLDER = Path(__file__).parent
 BLUE, ORANGE, MAGENTA, GRAY = "#1b4a72", "#d97f23", "#c2006b", "#8a8a8a"
@@ -133,7 +130,6 @@ def information():
     ax.text(actual[0] + 0.45, actual[1] - 0.05, "pose b", color=ORANGE)
     ax.text(b[0] + 0.62, b[1] - 0.28, "residual e", color=MAGENTA)
     ax.text(b[0] + 0.75, b[1] + 0.6, "one and two standard\ndeviations", color=GRAY)
-    ax.set_xlim(-0.7, 5.2)
     finish(ax)
     save(figure, "information")
 
@@ -181,8 +177,13 @@ def certificate():
     ax.plot(e, e**2, color=BLUE, lw=2)
     ax.plot(e, surrogate, color=ORANGE, lw=2)
     ax.plot(touch, touch**2, "o", color="black")
-    ax.annotate("equal here: the residual\nof the map", (touch, touch**2), (1.15, -0.9), va="top",
-                arrowprops={"arrowstyle": "-", "color": GRAY})
+    ax.annotate(
+        "equal here: the residual\nof the map",
+        (touch, touch**2),
+        (1.15, -0.9),
+        va="top",
+        arrowprops={"arrowstyle": "-", "color": GRAY},
+    )
     ax.text(-2.75, 8.6, "chi2 of the edge", color=BLUE)
     ax.text(-2.2, 0.6, "surrogate", color=ORANGE)
     ax.set(xlabel="rotation residual e [rad]", ylabel="cost", ylim=(-3, 10.5))
@@ -243,9 +244,7 @@ def merging():
     across = (world.edges >= cut).sum(axis=1) == 1
     pairs = np.sort(world.edges[across], axis=1)
     links = [(0, i, 1, j - cut) for i, j in pairs if j - i > 1][:12]
-    between = [
-        lie.between(truth.poses[[i]], truth.poses[[cut + j]])[0] for _, i, _, j in links
-    ]
+    between = [lie.between(truth.poses[[i]], truth.poses[[cut + j]])[0] for _, i, _, j in links]
     merged = masat.solve(masat.merge([monday, tuesday], (links, between))).graph
     figure, axes = plt.subplots(1, 3, figsize=(8.4, 3), layout="constrained")
     draw_map(axes[0], masat.solve(monday).graph, "Monday", closures=False)
@@ -272,8 +271,16 @@ def online():
 PICTURES = {
     function.__name__: function
     for function in (
-        gauge, information, chi2, local_minima, certificate, trusted_map, false_closures, gps,
-        merging, online,
+        gauge,
+        information,
+        chi2,
+        local_minima,
+        certificate,
+        trusted_map,
+        false_closures,
+        gps,
+        merging,
+        online,
     )
 }
 
