@@ -72,7 +72,7 @@ test-evo: $(VENV)/evo/.done
 compilers: $(VENV)/.test
 	tools/compilers.sh $(BIN)
 
-# A wheel of this machine for Python 3.12 and later, as the release has it: built, repaired, tried.
+# A wheel as a release has it: built with each of $(PYTHON), repaired, and tried without a compiler.
 wheel:
 	tools/wheel.sh $(PYTHON)
 
