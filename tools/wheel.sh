@@ -9,7 +9,6 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 root=$PWD
 max_bytes=5000000
-max_seconds=20
 tools=$root/build/wheel/tools
 [ $# -gt 0 ] || set -- python3
 mkdir -p build/wheel dist
@@ -33,20 +32,21 @@ for python in "$@"; do
     exit 1
   fi
   "$python" -m venv "$work/venv"
-  start=$(date +%s)
-  (
+  TIMEFORMAT="From the installation to map.html: %R s, and %U + %S s of processor time"
+  time (
     cd "$work/try"
     export PATH=$work/venv/bin
     for compiler in cc c++ gcc g++ clang clang++; do
-      ! command -v $compiler > /dev/null
+      if command -v $compiler > /dev/null; then
+        echo "There is a compiler on the PATH: $compiler." >&2
+        exit 1
+      fi
     done
     # The three commands of the README.
     pip install -q --only-binary :all: "$wheel"
     masat simulate city --nodes 2000 --noise 0.1,0.1,0.05 -o graph.g2o
     masat view graph.g2o --solve -o map.html
   )
-  seconds=$(($(date +%s) - start))
-  echo "From the installation to map.html: $seconds s (wanted: less than $max_seconds)"
   (cd "$work/try" && PATH=$work/venv/bin masat demo --quiet)
   for numpy in ${NUMPY:-}; do
     if PATH=$work/venv/bin pip install -q --only-binary :all: "numpy==$numpy" \
