@@ -11,7 +11,7 @@ define install_extra
 	$(BIN)/pip install -q -r $(VENV)/$(1).txt
 endef
 
-.PHONY: demo test test-slow test-browser test-evo test-bridges lint format sanitize sanitize-threads compilers benchmark clean
+.PHONY: demo test docs test-slow test-browser test-evo test-bridges lint format sanitize sanitize-threads compilers wheel benchmark clean
 
 demo: $(VENV)/.masat
 	$(BIN)/masat demo
@@ -60,6 +60,10 @@ test-browser: $(VENV)/.test
 	$(call install_extra,browser)
 	$(BIN)/python -m pytest -q tests/test_view_browser.py
 
+# The pages as a site in build/site. What is doubtful is an error: links, anchors, docstrings.
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q
+
 # evo is under the GPL, so no extra has it: it is installed in an environment of its own.
 test-evo: $(VENV)/evo/.done
 	$(VENV)/evo/bin/python -m pytest -q tests/test_evo.py
@@ -73,6 +77,10 @@ test-bridges: $(VENV)/bridges/.done
 # With each supported compiler of this machine: builds the core and runs its tests.
 compilers: $(VENV)/.test
 	tools/compilers.sh $(BIN)
+
+# A wheel as a release has it: built with each of $(PYTHON), repaired, and tried without a compiler.
+wheel:
+	tools/wheel.sh $(PYTHON)
 
 # In an environment of its own: one of the peers needs an old NumPy.
 benchmark: $(VENV)/bench/.done
@@ -98,6 +106,10 @@ $(VENV)/.test: $(VENV)/.masat
 
 $(VENV)/.lint: $(VENV)/bin/pip pyproject.toml
 	$(call install_extra,lint)
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/.masat
+	$(call install_extra,docs)
 	@touch $@
 
 $(VENV)/evo/.done: $(VENV)/bin/pip $(SOURCES)
