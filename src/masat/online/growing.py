@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import threading
 from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
 from typing import Any, Self
 
 import numpy as np
@@ -27,23 +25,18 @@ from masat.online.additions import (
     checked_priors,
 )
 from masat.online.arrivals import Arrivals
-from masat.online.files import graph_of, read_map, write_map
-from masat.online.review import Found, Review, Snapshot, look_again, snapshot
-from masat.online.schedule import Schedule
-from masat.online.takeover import outcome_of
+from masat.online.files import read_map, write_map
+from masat.online.review import look_again
+from masat.online.steps import Steps, undetermined
 from masat.online.update import Update
-from masat.online.waiting_priors import WaitingPriors
-from masat.optimizers import Result, optimize
+from masat.optimizers import Result
 
 # Measured on seven public graphs (benchmarks/online.py): chi2 is then 1.5e-4 above the optimum of a
 # step in the mean.
 TOLERANCE = 1.5e-4
-_NO_BUDGET = 1e9
-# A change of chi2 by less is below what two runs of an optimizer agree in.
-_OPTIMUM = 1e-13
 
 
-class OnlineMap:
+class OnlineMap(Steps):
     """A map of which poses and edges become known one after the other.
 
     A front end adds a pose and its edges, calls `update`, and reads the poses: each step changes
@@ -112,16 +105,7 @@ class OnlineMap:
             raise GraphError(f"the dimension must be 2 or 3, got {dimension!r}")
         if not 0 <= tolerance < 1:
             raise OptimizationError(f"the tolerance must be in [0, 1), got {tolerance!r}")
-        self._dimension, self._tolerance = int(dimension), float(tolerance)
-        self._core = self._new_core()
-        self._writing = threading.RLock()
-        self._arrivals = Arrivals(self._dimension) if robust else None
-        self._waiting = WaitingPriors(self._dimension)
-        self._schedule = Schedule()
-        self._review: Review | None = None
-
-    def _new_core(self) -> _core.OnlineMap:
-        return _core.OnlineMap(self._dimension, self._tolerance)
+        super().__init__(int(dimension), float(tolerance), robust=robust)
 
     def __len__(self) -> int:
         return self._core.nodes() - 1
@@ -330,113 +314,6 @@ class OnlineMap:
                 done = done.followed_by(self._end_review() or done)
             return done
 
-    def _advanced(self, budget: float | None) -> Update:
-        """Bring the map up to date, whatever a review may say."""
-        begin = perf_counter()
-        try:
-            done = self._updated(budget)
-            if self._waiting.release(self._core):
-                done = done.followed_by(self._updated(budget))
-        except OptimizationError:
-            self._waiting.forget_new()
-            if self._arrivals is not None:
-                self._arrivals.forget_new()
-            raise
-        if self._arrivals is not None:
-            self._arrivals.commit()
-            left = None if budget is None else max(budget - (perf_counter() - begin), 0.0)
-            done = self._with_judged(self._arrivals, done, left)
-        self._schedule.count(done.turned)
-        return done
-
-    def _updated(self, budget: float | None) -> Update:
-        try:
-            done = Update(*self._core.update(_NO_BUDGET if budget is None else float(budget)))
-        except _core.UndeterminedError as error:
-            raise _undetermined(
-                error, "what was added since the last update is forgotten"
-            ) from None
-        if done.complete or budget is not None:
-            return done
-        # Gauss-Newton, which all this is, does not converge from everywhere.
-        result = self._to_optimum()
-        return done._replace(chi2=result.chi2, complete=result.converged)
-
-    def _with_judged(self, arrivals: Arrivals, done: Update, budget: float | None) -> Update:
-        """Judge the closures that have just arrived, and add those that are believed."""
-        believed = arrivals.judge(self._core)
-        if len(believed):
-            number, ids, z, w = (
-                np.ascontiguousarray(believed[name])
-                for name in ("number", "ids", "measurement", "information")
-            )
-            self._core.add_edges(ids, z, w, number)
-            try:
-                done = done.followed_by(self._updated(budget))
-            except OptimizationError:
-                arrivals.compare(self._core, believed)
-        # For lack of time a true closure may not fit yet.
-        if done.complete:
-            far = arrivals.drop_far(self._core)
-            if len(far):
-                self._core.remove_edges(far)
-                done = done.followed_by(self._updated(budget))
-        return done
-
-    def _begin_review(self) -> None:
-        """Begin a review of the whole map, if it is time."""
-        if self._schedule.is_time(len(self), self._doubted):
-            due = self._schedule.begin(len(self), self._doubted)
-            self._review = Review(self._snapshot(), due)
-
-    @property
-    def _doubted(self) -> int:
-        return 0 if self._arrivals is None else self._arrivals.doubted
-
-    def _end_review(self) -> Update | None:
-        """Take over the outcome of the review, if there is one."""
-        review, self._review = self._review, None
-        return None if review is None else self._take_over(review.seen, review.outcome())
-
-    def _snapshot(self) -> Snapshot:
-        contents, arrivals = self._core.contents(), self._arrivals
-        if arrivals is None:
-            return snapshot(contents)
-        left_out = arrivals.edges(arrivals.present & ~arrivals.kept)
-        return snapshot(contents, left_out, arrivals.rows["number"], self._waiting.rejected)
-
-    def _take_over(self, seen: Snapshot, found: Found) -> Update | None:
-        """Make the map that a review found, if it is another one and can be made."""
-        decision = found.decision
-        changed = 0
-        if decision is not None:
-            changed = int(np.count_nonzero(decision.kept != seen.believed))
-            changed += int(np.count_nonzero(decision.kept_priors != seen.believed_priors))
-        self._schedule.end(changed, 0 if self._arrivals is None else len(self._arrivals))
-        if found.poses is None:
-            return None
-        before = self._core, self._arrivals, self._waiting
-        contents, arrivals, waiting = outcome_of(*before, seen, found)
-        core = self._new_core()
-        try:
-            core.fill(**contents)
-            core.start_from(contents["poses"])
-            done = Update(*core.update(_NO_BUDGET))
-        except _core.UndeterminedError:
-            return None
-        if not changed and core.exact_chi2() >= self._core.exact_chi2():
-            # It was better when the review began.
-            return None
-        self._core, self._arrivals, self._waiting = core, arrivals, waiting
-        if not done.complete:
-            try:
-                result = self._to_optimum()
-            except OptimizationError:
-                self._core, self._arrivals, self._waiting = before
-                return None
-            done = done._replace(chi2=result.chi2, complete=result.converged)
-        return done._replace(turned=0.0)
-
     @property
     def ids(self) -> Ids:
         """Ids of the poses, (n,), in the order in which they were added."""
@@ -546,12 +423,7 @@ class OnlineMap:
             If the map has no pose.
         """
         with self._writing:
-            contents = self._core.contents()
-        ids: Ids = contents["ids"]
-        if len(ids) == 0:
-            raise GraphError("the map is empty: add poses, and update it")
-        roots = np.unique(contents["roots"])
-        return graph_of(contents).with_root(ids[roots[roots >= 0]])
+            return self._graph()
 
     def optimize(self) -> Result:
         """Take the map to the optimum that `masat.optimize` finds from its poses.
@@ -583,16 +455,6 @@ class OnlineMap:
             self._take_over(seen, found)
             return replace(self._to_optimum(), decision=found.decision)
 
-    def _to_optimum(self) -> Result:
-        """Optimize the graph, and move the map to its poses."""
-        result = optimize(self.graph(), relative_tolerance=_OPTIMUM)
-        poses = result.poses[result.graph.index(self.ids)]
-        try:
-            self._core.set_poses(poses)
-        except _core.UndeterminedError as error:
-            raise _undetermined(error, "the poses are as before") from None
-        return result
-
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the map after the last update to an .npz file, whole or not at all."""
         with self._writing:
@@ -616,7 +478,7 @@ class OnlineMap:
         try:
             out._core.fill(**contents)
         except _core.UndeterminedError as error:
-            raise _undetermined(error, "the file cannot be used") from None
+            raise undetermined(error, "the file cannot be used") from None
         if out._arrivals is not None and closures is not None:
             out._arrivals.restore(out._core, contents, closures)
         out._schedule.begin(len(out), out._doubted)
@@ -636,10 +498,3 @@ class OnlineMap:
         for unknown in wanted[indices < 0][:1]:
             raise GraphError(f"the map has no node {unknown}")
         return indices
-
-
-def _undetermined(error: Exception, outcome: str) -> OptimizationError:
-    return OptimizationError(
-        f"the edges around node {error.args[0]} do not determine its pose, up to rounding: "
-        f"{outcome}; look for information that is nearly singular, and for huge numbers"
-    )

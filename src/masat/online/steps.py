@@ -1,0 +1,184 @@
+"""The steps of a map that grows: an update, what follows from closures and priors, and reviews."""
+
+from __future__ import annotations
+
+import threading
+from time import perf_counter
+
+import numpy as np
+
+from masat import _core
+from masat.arrays import Ids
+from masat.errors import GraphError, OptimizationError
+from masat.graph import PoseGraph
+from masat.online.arrivals import Arrivals
+from masat.online.files import graph_of
+from masat.online.review import Found, Review, Snapshot, snapshot
+from masat.online.schedule import Schedule
+from masat.online.takeover import outcome_of
+from masat.online.update import Update
+from masat.online.waiting_priors import WaitingPriors
+from masat.optimizers import Result, optimize
+
+_NO_BUDGET = 1e9
+# A change of chi2 by less is below what two runs of an optimizer agree in.
+_OPTIMUM = 1e-13
+
+
+class Steps:
+    """What a map that grows consists of, and how it goes from one state to the next.
+
+    Parameters
+    ----------
+    dimension, tolerance, robust
+        As of `masat.OnlineMap`, whose public methods call these; one at a time may change the map.
+    """
+
+    def __init__(self, dimension: int, tolerance: float, *, robust: bool) -> None:
+        self._dimension, self._tolerance = dimension, tolerance
+        self._core = self._new_core()
+        self._writing = threading.RLock()
+        self._arrivals = Arrivals(self._dimension) if robust else None
+        self._waiting = WaitingPriors(self._dimension)
+        self._schedule = Schedule()
+        self._review: Review | None = None
+
+    def _new_core(self) -> _core.OnlineMap:
+        return _core.OnlineMap(self._dimension, self._tolerance)
+
+    @property
+    def _nodes(self) -> int:
+        # The world is one of the core's nodes.
+        return self._core.nodes() - 1
+
+    def _advanced(self, budget: float | None) -> Update:
+        """Bring the map up to date, whatever a review may say."""
+        begin = perf_counter()
+        try:
+            done = self._updated(budget)
+            if self._waiting.release(self._core):
+                done = done.followed_by(self._updated(budget))
+        except OptimizationError:
+            self._waiting.forget_new()
+            if self._arrivals is not None:
+                self._arrivals.forget_new()
+            raise
+        if self._arrivals is not None:
+            self._arrivals.commit()
+            left = None if budget is None else max(budget - (perf_counter() - begin), 0.0)
+            done = self._with_judged(self._arrivals, done, left)
+        self._schedule.count(done.turned)
+        return done
+
+    def _updated(self, budget: float | None) -> Update:
+        try:
+            done = Update(*self._core.update(_NO_BUDGET if budget is None else float(budget)))
+        except _core.UndeterminedError as error:
+            raise undetermined(error, "what was added since the last update is forgotten") from None
+        if done.complete or budget is not None:
+            return done
+        # Gauss-Newton, which all this is, does not converge from everywhere.
+        result = self._to_optimum()
+        return done._replace(chi2=result.chi2, complete=result.converged)
+
+    def _with_judged(self, arrivals: Arrivals, done: Update, budget: float | None) -> Update:
+        """Judge the closures that have just arrived, and add those that are believed."""
+        believed = arrivals.judge(self._core)
+        if len(believed):
+            number, ids, z, w = (
+                np.ascontiguousarray(believed[name])
+                for name in ("number", "ids", "measurement", "information")
+            )
+            self._core.add_edges(ids, z, w, number)
+            try:
+                done = done.followed_by(self._updated(budget))
+            except OptimizationError:
+                arrivals.compare(self._core, believed)
+        # For lack of time a true closure may not fit yet.
+        if done.complete:
+            far = arrivals.drop_far(self._core)
+            if len(far):
+                self._core.remove_edges(far)
+                done = done.followed_by(self._updated(budget))
+        return done
+
+    def _begin_review(self) -> None:
+        """Begin a review of the whole map, if it is time."""
+        if self._schedule.is_time(self._nodes, self._doubted):
+            due = self._schedule.begin(self._nodes, self._doubted)
+            self._review = Review(self._snapshot(), due)
+
+    @property
+    def _doubted(self) -> int:
+        return 0 if self._arrivals is None else self._arrivals.doubted
+
+    def _end_review(self) -> Update | None:
+        """Take over the outcome of the review, if there is one."""
+        review, self._review = self._review, None
+        return None if review is None else self._take_over(review.seen, review.outcome())
+
+    def _snapshot(self) -> Snapshot:
+        contents, arrivals = self._core.contents(), self._arrivals
+        if arrivals is None:
+            return snapshot(contents)
+        left_out = arrivals.edges(arrivals.present & ~arrivals.kept)
+        return snapshot(contents, left_out, arrivals.rows["number"], self._waiting.rejected)
+
+    def _take_over(self, seen: Snapshot, found: Found) -> Update | None:
+        """Make the map that a review found, if it is another one and can be made."""
+        decision = found.decision
+        changed = 0
+        if decision is not None:
+            changed = int(np.count_nonzero(decision.kept != seen.believed))
+            changed += int(np.count_nonzero(decision.kept_priors != seen.believed_priors))
+        self._schedule.end(changed, 0 if self._arrivals is None else len(self._arrivals))
+        if found.poses is None:
+            return None
+        before = self._core, self._arrivals, self._waiting
+        contents, arrivals, waiting = outcome_of(*before, seen, found)
+        core = self._new_core()
+        try:
+            core.fill(**contents)
+            core.start_from(contents["poses"])
+            done = Update(*core.update(_NO_BUDGET))
+        except _core.UndeterminedError:
+            return None
+        if not changed and core.exact_chi2() >= self._core.exact_chi2():
+            # It was better when the review began.
+            return None
+        self._core, self._arrivals, self._waiting = core, arrivals, waiting
+        if not done.complete:
+            try:
+                result = self._to_optimum()
+            except OptimizationError:
+                self._core, self._arrivals, self._waiting = before
+                return None
+            done = done._replace(chi2=result.chi2, complete=result.converged)
+        return done._replace(turned=0.0)
+
+    def _graph(self) -> PoseGraph:
+        """Return the map after the last update."""
+        contents = self._core.contents()
+        ids: Ids = contents["ids"]
+        if len(ids) == 0:
+            raise GraphError("the map is empty: add poses, and update it")
+        roots = np.unique(contents["roots"])
+        return graph_of(contents).with_root(ids[roots[roots >= 0]])
+
+    def _to_optimum(self) -> Result:
+        """Optimize the graph, and move the map to its poses."""
+        result = optimize(self._graph(), relative_tolerance=_OPTIMUM)
+        poses = result.poses[result.graph.index(self._core.ids()[1:])]
+        try:
+            self._core.set_poses(poses)
+        except _core.UndeterminedError as error:
+            raise undetermined(error, "the poses are as before") from None
+        return result
+
+
+def undetermined(error: Exception, outcome: str) -> OptimizationError:
+    """Return the error of an update that cannot be done."""
+    return OptimizationError(
+        f"the edges around node {error.args[0]} do not determine its pose, up to rounding: "
+        f"{outcome}; look for information that is nearly singular, and for huge numbers"
+    )
