@@ -306,6 +306,8 @@ class Arrivals:
 
     def drop_far(self, core: _core.OnlineMap) -> Ids:
         """Return the numbers of closures lately believed that the map contradicts after all."""
+        if not self._unchecked:
+            return np.empty(0, np.int64)
         rows = [row for row in self._unchecked if self._rows["state"][row] == _KEPT]
         self._unchecked.clear()
         numbers = self._rows["number"][rows]

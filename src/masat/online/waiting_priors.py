@@ -120,9 +120,12 @@ class WaitingPriors:
 
         Returns whether anything waits for the core's next update.
         """
+        self._new = 0
+        if len(self._rows) == 0:
+            self._leaving.clear()
+            return False
         self._rows = self._rows[self._staying]
         self._leaving.clear()
-        self._new = 0
         if self._rows["rejected"].all():
             return False
         roots = core.roots()
