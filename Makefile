@@ -43,7 +43,7 @@ sanitize: $(VENV)/.test
 	PYTHONPATH=build/sanitized $(BIN)/python -m pytest -q -n auto \
 	  tests/test_core.py tests/test_fuzz.py tests/test_cholesky.py tests/test_structure.py \
 	  tests/test_lie.py tests/test_toro.py tests/test_relaxation.py tests/test_covariance.py \
-	  tests/test_online.py \
+	  tests/test_online.py tests/test_online_stress.py tests/test_online_priors.py \
 	  -k "not (same_bits and 3) and not long_calls"
 
 # The tests that factorize or invert with several threads, on a core with the thread sanitizer.
@@ -53,7 +53,7 @@ sanitize-threads: $(VENV)/.test
 	TSAN_OPTIONS=exitcode=66 OPENBLAS_NUM_THREADS=1 \
 	LD_PRELOAD="$$($(CXX) -print-file-name=libtsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	PYTHONPATH=build/sanitized-threads $(BIN)/python -m pytest -q tests/test_cholesky.py \
-	  tests/test_covariance.py tests/test_online.py -k "(same_bits and 2) or pivot or interrupted or no_more_threads or on_the_threads"
+	  tests/test_covariance.py tests/test_online.py tests/test_online_stress.py -k "(same_bits and 2) or pivot or interrupted or no_more_threads or on_the_threads"
 
 # The view in Chromium, which has to be installed: apt-get install chromium.
 test-browser: $(VENV)/.test
