@@ -11,6 +11,7 @@ from masat.assembly import AssembledGraph
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimality.bounds import looks_global
+from masat.optimality.cycles import AmbiguousCycles
 from masat.optimality.relaxation import Relaxation, lift
 from masat.optimality.search import LOWER, NEAR, lower_minimum
 from masat.optimizers import Iteration, Result, optimize
@@ -138,8 +139,11 @@ def _poses(graph: PoseGraph) -> Floats:
 
 
 def _is_plausible(near: Result) -> bool:
-    """Whether the chordal certificate fails by little, or that of chi2 itself holds."""
-    return Relaxation(near.graph).plausible(near.poses) or looks_global(near.graph, near.chi2)
+    """Whether no cycle is ambiguous and the chordal certificate fails by little, or chi2's holds."""
+    plausible = Relaxation(near.graph).plausible(near.poses)
+    if plausible and len(AmbiguousCycles(near.graph).edges(near.poses)) == 0:
+        return True
+    return looks_global(near.graph, near.chi2)
 
 
 def _first_minimum(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from itertools import islice
 
 import numpy as np
 
@@ -12,14 +13,22 @@ from masat.arrays import Flags, Floats
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimality.cycles import (
+    LONG,
     AmbiguousCycles,
     Cycle,
+    cut_edges,
     relative_to_mean,
-    rotated,
     rotating_nodes,
+    shifted,
 )
 from masat.optimality.relaxation import Relaxation, lift
-from masat.optimality.subgraphs import Subgraph, connected_parts, neighborhood, subgraph
+from masat.optimality.subgraphs import (
+    Subgraph,
+    connected_parts,
+    neighborhood,
+    subgraph,
+    without_edges,
+)
 from masat.optimizers import Iteration, Result, optimize
 from masat.optimizers.equations import normal_equations
 from masat.optimizers.translations import solve_translations
@@ -122,8 +131,8 @@ class _Search:
         # What counts as one in chi2: less where the information promises less than it keeps.
         self._unit = min(1.0, first.reduced_chi2 or 1.0)
         self._relaxation = Relaxation(graph)
-        self._cycles = AmbiguousCycles(graph, self._unit)
-        self._refused: dict[int, float] = {}
+        self._cycles = AmbiguousCycles(graph)
+        self._refused: dict[tuple[tuple[int, float], ...], Floats] = {}
         self._cycles_left = max(_MIN_CYCLES, _CYCLE_WORK // len(graph.ids))
         gauge = graph.index(graph.gauge)
         labels = graph.components
@@ -152,30 +161,30 @@ class _Search:
         return sum(self._try(part, self._lift) for part in parts) > 0
 
     def at_cycles(self) -> bool:
-        """Lift the ambiguous cycles, and shift them by 2 pi; return whether that lowered chi2."""
-        lowered = most_lifted = False
-        for cycle in self._cycles.at(self.poses):
-            if abs(cycle.residual - self._refused.get(cycle.edge, np.inf)) < _SAME_POSE:
+        """Shift the ambiguous cycles by 2 pi; return whether that lowered chi2."""
+        cycles = list(islice(self._cycles.at(self.poses), self._cycles_left))
+        alone = [[(cycle, sign)] for cycle in cycles for sign in (-1.0, 1.0)]
+        bent = [[(cycle, 0.0)] for cycle in cycles if len(cycle.edges) >= LONG]
+        both = [[(a, -1.0), (b, -1.0)] for a, b in self._cycles.pairs(cycles)]
+        lowered = False
+        for shifts in bent + alone + both:
+            key = tuple((cycle.edge, sign) for cycle, sign in shifts)
+            residuals = np.array([cycle.residual for cycle, _ in shifts])
+            if np.abs(residuals - self._refused.get(key, np.inf)).max() < _SAME_POSE:
                 continue
             if self._cycles_left == 0 or self._progress.over:
                 break
             self._cycles_left -= 1
             self._progress.tell("searching around an ambiguous cycle", self.chi2)
-            rotations = self._relative(cycle)
-            nodes = rotating_nodes(rotations)
-            trials: list[tuple[Flags, Trial]] = [
-                (neighborhood(self._graph, nodes), partial(self._shift, axis, rotations))
-                for axis in (cycle.axis, -cycle.axis)
-            ]
-            most = bool(2 * np.count_nonzero(nodes) > len(nodes))
-            # A second lift of most nodes would find the same.
-            if not (most and most_lifted):
-                trials.insert(0, (neighborhood(self._graph, nodes, _CYCLE_REACH), self._lift))
-            most_lifted |= most
-            lower = any(self._try(where, trial) for where, trial in trials)
+            nodes = np.zeros(len(self.poses), np.bool_)
+            for cycle, _ in shifts:
+                nodes |= rotating_nodes(self._relative(cycle))
+            where = neighborhood(self._graph, nodes)
+            cuts = [None, *cut_edges(shifts[0][0])] if len(shifts) == 1 else [None]
+            lower = any(self._try(where, partial(self._shift, shifts, cut)) for cut in cuts)
             lowered |= lower
             if not lower:
-                self._refused[cycle.edge] = cycle.residual
+                self._refused[key] = residuals
         return lowered
 
     def _relative(self, cycle: Cycle) -> Floats:
@@ -197,14 +206,23 @@ class _Search:
             key=lambda result: result.chi2,
         )
 
-    def _shift(self, axis: Floats, rotations: Floats, part: Subgraph) -> Result:
+    def _shift(
+        self, shifts: list[tuple[Cycle, float]], cut: int | None, part: Subgraph
+    ) -> Result:
+        """Spread residuals and shifts anew, the positions first without an edge that is cut."""
         graph, inside = part
-        assert graph.poses is not None
-        angles = np.where(inside, rotations[graph.ids], 0.0)
-        initial = rotated(graph.poses, axis, angles)
+        nodes = np.zeros(len(self.poses), np.bool_)
+        nodes[graph.ids[inside]] = True
+        edges = self._graph.topology.incident_edges(nodes)
+        dimension = 1 if graph.dimension == 2 else 3
+        by = np.zeros((len(edges), dimension))
+        for cycle, sign in shifts:
+            by[edges == cycle.edge] += 2 * np.pi * sign * cycle.axis
+        turned = shifted(graph, by)
+        loose = graph if cut is None else without_edges(graph, edges == cut)
         nearly = _NEARLY * self._unit
         return optimize(
-            graph.with_poses(solve_translations(graph, initial)),
+            graph.with_poses(solve_translations(loose, turned)),
             "dogleg",
             max_iterations=30,
             absolute_tolerance=nearly / 500,
