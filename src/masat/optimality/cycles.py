@@ -23,6 +23,8 @@ _TURN = 2 * np.pi
 _MAX_KEPT = 0.5
 # Edges that take more than this fraction of what the cycle's own edge takes are of the same cycle.
 _SAME_CYCLE = 0.9
+# Edges that take more than this fraction bend with the cycle.
+_SHARING = 0.1
 # Correlation of the shifts of two cycles from which on they are tried together.
 _OVERLAP = 0.1
 # Edges from which on a cycle can bend in several ways without another winding number, and how
@@ -50,7 +52,9 @@ class Cycle(NamedTuple):
     cost : float
         By how much the shift against the residual changes chi2, if rotations are all there is.
     edges : ndarray, (k,)
-        Indices of the edges that share the shift, in ascending order.
+        Indices of the edges that share the shift alike, in ascending order.
+    nodes : ndarray of bool, (n,)
+        The ends of all edges that take a good part of the shift.
     """
 
     edge: int
@@ -59,6 +63,7 @@ class Cycle(NamedTuple):
     rotations: Floats
     cost: float
     edges: Indices
+    nodes: Flags
 
 
 class AmbiguousCycles:
@@ -127,6 +132,8 @@ class AmbiguousCycles:
             taken[edge] -= _TURN
             own = np.abs(taken) > _SAME_CYCLE * abs(taken[edge])
             seen |= own
+            nodes = np.zeros(len(rotations), np.bool_)
+            nodes[self._graph.edge_indices[np.abs(taken) > _SHARING * abs(taken[edge])]] = True
             yield Cycle(
                 int(edge),
                 float(residual[edge]),
@@ -134,6 +141,7 @@ class AmbiguousCycles:
                 rotations,
                 float(cost[edge]),
                 np.flatnonzero(own).astype(np.int32),
+                nodes,
             )
 
     def pairs(self, cycles: Sequence[Cycle]) -> list[tuple[Cycle, Cycle]]:

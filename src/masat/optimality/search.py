@@ -179,6 +179,8 @@ class _Search:
             nodes = np.zeros(len(self.poses), np.bool_)
             for cycle, _ in shifts:
                 nodes |= rotating_nodes(self._relative(cycle))
+                if len(cycle.edges) >= LONG:
+                    nodes |= cycle.nodes
             where = neighborhood(self._graph, nodes)
             cuts = [None, *cut_edges(shifts[0][0])] if len(shifts) == 1 else [None]
             lower = any(self._try(where, partial(self._shift, shifts, cut)) for cut in cuts)
