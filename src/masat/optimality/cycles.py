@@ -161,6 +161,10 @@ class AmbiguousCycles:
         found.sort(key=lambda pair: pair[0])
         return [(one, other) for _, one, other in found]
 
+    def slope(self, cycle: Cycle) -> float:
+        """Return what the residual adds to the cost of a shift in its own direction."""
+        return float(2 * _TURN * self._weight[cycle.edge] * cycle.residual)
+
     def _stiffness(self, edge: int) -> float:
         """Return the chi2 of a shift by 2 pi at an edge where all residuals are zero."""
         return float(_TURN**2 * self._weight[edge] * self._kept[edge])

@@ -48,6 +48,8 @@ _HOPELESS_STEPS = 40
 _SAME_POSE = 0.01
 # Cycles tried at the most: the first divided by the number of nodes, but at least the second.
 _CYCLE_WORK, _MIN_CYCLES = 1_000_000, 10
+# chi2 that a shift in the direction of the residual may cost by the rotations alone.
+_MAX_COST = 10.0
 _MAX_ROUNDS = 20
 # Iterations of Gauss-Newton to the exact minimum, and of the safer and slower dogleg.
 _FINAL_ITERATIONS, _FINAL_DOGLEG_ITERATIONS = 4, 100
@@ -163,7 +165,7 @@ class _Search:
     def at_cycles(self) -> bool:
         """Shift the ambiguous cycles by 2 pi; return whether that lowered chi2."""
         cycles = list(islice(self._cycles.at(self.poses), self._cycles_left))
-        alone = [[(cycle, sign)] for cycle in cycles for sign in (-1.0, 1.0)]
+        alone = [[(cycle, sign)] for cycle in cycles for sign in self._signs(cycle)]
         bent = [[(cycle, 0.0)] for cycle in cycles if len(cycle.edges) >= LONG]
         both = [[(a, -1.0), (b, -1.0)] for a, b in self._cycles.pairs(cycles)]
         lowered = False
@@ -182,12 +184,17 @@ class _Search:
                 if len(cycle.edges) >= LONG:
                     nodes |= cycle.nodes
             where = neighborhood(self._graph, nodes)
-            cuts = [None, *cut_edges(shifts[0][0])] if len(shifts) == 1 else [None]
+            cuts = [None, *(cut_edges(shifts[0][0]) if shifts[0][1] == 0 else ())]
             lower = any(self._try(where, partial(self._shift, shifts, cut)) for cut in cuts)
             lowered |= lower
             if not lower:
                 self._refused[key] = residuals
         return lowered
+
+    def _signs(self, cycle: Cycle) -> tuple[float, ...]:
+        """Return in which directions a cycle is shifted: against its residual, or either way."""
+        with_it = cycle.cost + 2 * self._cycles.slope(cycle)
+        return (-1.0, 1.0) if with_it < _MAX_COST * self._unit else (-1.0,)
 
     def _relative(self, cycle: Cycle) -> Floats:
         """Return the rotations of a cycle's nodes; few of them if only the gauge is fixed."""
