@@ -145,7 +145,7 @@ class AmbiguousCycles:
             )
 
     def pairs(self, cycles: Sequence[Cycle]) -> list[tuple[Cycle, Cycle]]:
-        """Return the pairs that share edges and promise a lower chi2 shifted both, best first."""
+        """Return pairs that share edges, both long or of a promising cost, the best first."""
         i, j = self._graph.edge_indices.T
         found = []
         for k, one in enumerate(cycles):
@@ -156,14 +156,11 @@ class AmbiguousCycles:
                 joint = _TURN * self._weight[edge] * taken * float(np.dot(one.axis, other.axis))
                 own = self._stiffness(one.edge) * self._stiffness(edge)
                 cost = one.cost + other.cost + 2 * joint
-                if cost < 0 and abs(joint) > _OVERLAP * own**0.5:
+                long = len(one.edges) >= LONG and len(other.edges) >= LONG
+                if (cost < 0 or long) and abs(joint) > _OVERLAP * own**0.5:
                     found.append((cost, other, one))
         found.sort(key=lambda pair: pair[0])
         return [(one, other) for _, one, other in found]
-
-    def slope(self, cycle: Cycle) -> float:
-        """Return what the residual adds to the cost of a shift in its own direction."""
-        return float(2 * _TURN * self._weight[cycle.edge] * cycle.residual)
 
     def _stiffness(self, edge: int) -> float:
         """Return the chi2 of a shift by 2 pi at an edge where all residuals are zero."""

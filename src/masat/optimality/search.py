@@ -46,10 +46,10 @@ _NEARLY = 5.0
 _HOPELESS_STEPS = 40
 # Radians and meters: residuals and coordinates that changed by less are the same as before.
 _SAME_POSE = 0.01
+# A residual that changed by a smaller fraction of itself is the same as before.
+_SAME_RESIDUAL = 0.02
 # Cycles tried at the most: the first divided by the number of nodes, but at least the second.
 _CYCLE_WORK, _MIN_CYCLES = 1_000_000, 10
-# chi2 that a shift in the direction of the residual may cost by the rotations alone.
-_MAX_COST = 10.0
 _MAX_ROUNDS = 20
 # Iterations of Gauss-Newton to the exact minimum, and of the safer and slower dogleg.
 _FINAL_ITERATIONS, _FINAL_DOGLEG_ITERATIONS = 4, 100
@@ -165,14 +165,21 @@ class _Search:
     def at_cycles(self) -> bool:
         """Shift the ambiguous cycles by 2 pi; return whether that lowered chi2."""
         cycles = list(islice(self._cycles.at(self.poses), self._cycles_left))
-        alone = [[(cycle, sign)] for cycle in cycles for sign in self._signs(cycle)]
-        bent = [[(cycle, 0.0)] for cycle in cycles if len(cycle.edges) >= LONG]
-        both = [[(a, -1.0), (b, -1.0)] for a, b in self._cycles.pairs(cycles)]
-        lowered = False
-        for shifts in bent + alone + both:
+        long = [cycle for cycle in cycles if len(cycle.edges) >= LONG]
+        moves = [[(cycle, 0.0)] for cycle in long]
+        moves += [[(cycle, -1.0)] for cycle in cycles] + [[(cycle, 1.0)] for cycle in long]
+        for one, other in self._cycles.pairs(cycles):
+            moves.append([(one, -1.0), (other, -1.0)])
+            if len(one.edges) >= LONG and len(other.edges) >= LONG:
+                moves += [[(one, -1.0), (other, 1.0)], [(one, 1.0), (other, -1.0)]]
+        changed: set[int] = set()
+        for shifts in moves:
+            edges = {cycle.edge for cycle, _ in shifts}
             key = tuple((cycle.edge, sign) for cycle, sign in shifts)
-            residuals = np.array([cycle.residual for cycle, _ in shifts])
-            if np.abs(residuals - self._refused.get(key, np.inf)).max() < _SAME_POSE:
+            signed = np.concatenate([np.atleast_1d(c.residual * c.axis) for c, _ in shifts])
+            refused = self._refused.get(key)
+            same = refused is not None and np.allclose(signed, refused, rtol=_SAME_RESIDUAL)
+            if same or edges & changed:
                 continue
             if self._cycles_left == 0 or self._progress.over:
                 break
@@ -185,16 +192,11 @@ class _Search:
                     nodes |= cycle.nodes
             where = neighborhood(self._graph, nodes)
             cuts = [None, *(cut_edges(shifts[0][0]) if shifts[0][1] == 0 else ())]
-            lower = any(self._try(where, partial(self._shift, shifts, cut)) for cut in cuts)
-            lowered |= lower
-            if not lower:
-                self._refused[key] = residuals
-        return lowered
-
-    def _signs(self, cycle: Cycle) -> tuple[float, ...]:
-        """Return in which directions a cycle is shifted: against its residual, or either way."""
-        with_it = cycle.cost + 2 * self._cycles.slope(cycle)
-        return (-1.0, 1.0) if with_it < _MAX_COST * self._unit else (-1.0,)
+            if any(self._try(where, partial(self._shift, shifts, cut)) for cut in cuts):
+                changed |= edges
+            else:
+                self._refused[key] = signed
+        return len(changed) > 0
 
     def _relative(self, cycle: Cycle) -> Floats:
         """Return the rotations of a cycle's nodes; few of them if only the gauge is fixed."""
@@ -293,12 +295,18 @@ class _Search:
 
 
 class _StopIfHopeless:
-    """Stops an optimizer where many more steps like the last would not bring chi2 low enough."""
+    """Stops an optimizer where many more steps like the last would not bring chi2 low enough.
+
+    A step may gain less than it could while the region of trust adapts: half of what was expected
+    before the step counts in its place.
+    """
 
     def __init__(self, low_enough: float, chi2: float = np.inf) -> None:
-        self._low_enough, self._last = low_enough, chi2
+        self._low_enough, self._last, self._expected = low_enough, chi2, 0.0
 
     def __call__(self, step: Iteration) -> bool:
         """Return whether to stop after an iteration."""
+        missing = step.chi2 - self._low_enough
         gained, self._last = self._last - step.chi2, step.chi2
-        return step.chi2 - self._low_enough > _HOPELESS_STEPS * gained
+        self._expected = max(min(gained, missing), self._expected / 2)
+        return missing > _HOPELESS_STEPS * self._expected
