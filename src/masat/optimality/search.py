@@ -192,7 +192,10 @@ class _Search:
                     nodes |= cycle.nodes
             where = neighborhood(self._graph, nodes)
             cuts = [None, *(cut_edges(shifts[0][0]) if shifts[0][1] == 0 else ())]
-            if any(self._try(where, partial(self._shift, shifts, cut)) for cut in cuts):
+            trials: list[Trial] = [partial(self._shift, shifts, cut) for cut in cuts]
+            if self._graph.dimension == 3:
+                trials.append(self._lift)
+            if any(self._try(where, trial) for trial in trials):
                 changed |= edges
             else:
                 self._refused[key] = signed
