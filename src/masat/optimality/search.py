@@ -51,6 +51,8 @@ _SAME_RESIDUAL = 0.02
 # Cycles tried at the most: the first divided by the number of nodes, but at least the second.
 _CYCLE_WORK, _MIN_CYCLES = 1_000_000, 10
 _MAX_ROUNDS = 20
+# Bytes of a factor up to which all nodes are lifted at once: some seconds on one core.
+_MAX_LIFTED_BYTES = 3e8
 # Iterations of Gauss-Newton to the exact minimum, and of the safer and slower dogleg.
 _FINAL_ITERATIONS, _FINAL_DOGLEG_ITERATIONS = 4, 100
 
@@ -63,6 +65,7 @@ def lower_minimum(
     seed: int = 0,
     progress: Progress | None = None,
     equations: _core.NormalEquations | None = None,
+    lift_all: bool = False,
 ) -> Result:
     """Search for a lower minimum around the parts of the graph where this one is doubtful.
 
@@ -82,6 +85,8 @@ def lower_minimum(
         What reports the stages and limits the time.
     equations : NormalEquations, optional
         Those of the graph, to be used again.
+    lift_all : bool
+        Whether all nodes are lifted even if no ambiguous cycle rotates most of them.
 
     Returns
     -------
@@ -98,7 +103,8 @@ def lower_minimum(
     search = _Search(graph, seed, progress, equations)
     try:
         for _ in range(_MAX_ROUNDS):
-            if progress.over or not (search.at_uncertified_nodes() or search.at_cycles()):
+            lower = search.at_uncertified_nodes() or search.at_cycles()
+            if progress.over or not (lower or search.at_all_nodes(lift_all)):
                 break
             search.converge()
     except KeyboardInterrupt:
@@ -134,6 +140,7 @@ class _Search:
         self._unit = min(1.0, first.reduced_chi2 or 1.0)
         self._relaxation = Relaxation(graph)
         self._cycles = AmbiguousCycles(graph)
+        self._most_rotate = False
         self._refused: dict[tuple[tuple[int, float], ...], Floats] = {}
         self._cycles_left = max(_MIN_CYCLES, _CYCLE_WORK // len(graph.ids))
         gauge = graph.index(graph.gauge)
@@ -172,6 +179,10 @@ class _Search:
             moves.append([(one, -1.0), (other, -1.0)])
             if len(one.edges) >= LONG and len(other.edges) >= LONG:
                 moves += [[(one, -1.0), (other, 1.0)], [(one, 1.0), (other, -1.0)]]
+        half = len(self.poses) / 2
+        self._most_rotate = any(
+            np.count_nonzero(rotating_nodes(self._relative(c))) > half for c in cycles
+        )
         changed: set[int] = set()
         for shifts in moves:
             edges = {cycle.edge for cycle, _ in shifts}
@@ -200,6 +211,19 @@ class _Search:
             else:
                 self._refused[key] = signed
         return len(changed) > 0
+
+    def at_all_nodes(self, always: bool) -> bool:
+        """Lift all nodes where that may help and memory allows it; return whether it lowered chi2.
+
+        Parts of the graph that are each at their own minimum may be wrong together.
+        """
+        small = self._relaxation.lifted_bytes() <= _MAX_LIFTED_BYTES
+        if not small or not (always or self._most_rotate) or self._progress.over:
+            return False
+        self._progress.tell("lifting all nodes", self.chi2)
+        nodes = np.ones(len(self.poses), np.bool_)
+        nodes[self._graph.index(self._graph.gauge)] = False
+        return self._try(nodes, self._lift)
 
     def _relative(self, cycle: Cycle) -> Floats:
         """Return the rotations of a cycle's nodes; few of them if only the gauge is fixed."""
