@@ -83,12 +83,11 @@ class AmbiguousCycles:
 
     def __init__(self, graph: PoseGraph) -> None:
         self._graph = graph
-        # chi2 is this weight times the square of the angle.
-        self._weight = 2 * rotation_weights(graph.information)
+        self._weight = rotation_weight(graph)
         self._free = graph.elimination.free_nodes()
         self._free_index = np.full(len(graph.ids), -1, np.int32)
         self._free_index[self._free] = np.arange(len(self._free), dtype=np.int32)
-        self._problem = _rotation_problem(graph, self._weight)
+        self._problem = rotation_problem(graph, self._weight)
 
     def rotations(self, edge: int) -> Floats:
         """Return by how much each node rotates for a shift by 2 pi at an edge, (n,), in radians."""
@@ -112,7 +111,7 @@ class AmbiguousCycles:
 
     def edges(self, poses: Floats) -> Indices:
         """Return the edges of the ambiguous cycles, the most promising first."""
-        cost = self._cost(_rotation_residuals(self._graph, poses)[0])
+        cost = self._cost(rotation_residuals(self._graph, poses)[0])
         kept = self._kept
         found = np.flatnonzero((cost < 0) & (kept < _MAX_KEPT) & (kept > 1e-9))
         order: Indices = found[np.argsort(cost[found], kind="stable")].astype(np.int32)
@@ -121,7 +120,7 @@ class AmbiguousCycles:
     def at(self, poses: Floats) -> Iterator[Cycle]:
         """Yield the ambiguous cycles, each once, by one of its edges, the most promising first."""
         i, j = self._graph.edge_indices.T
-        residual, axis = _rotation_residuals(self._graph, poses)
+        residual, axis = rotation_residuals(self._graph, poses)
         cost = self._cost(residual)
         seen = np.zeros(len(residual), np.bool_)
         for edge in self.edges(poses):
@@ -189,14 +188,14 @@ def shifted(graph: PoseGraph, shifts: Floats) -> Floats:
     ndarray, (n, 3) or (n, 7)
     """
     assert graph.poses is not None
-    angles, axes = _rotation_residuals(graph, graph.poses)
-    weight = 2 * rotation_weights(graph.information)
+    angles, axes = rotation_residuals(graph, graph.poses)
+    weight = rotation_weight(graph)
     pull = weight[:, None] * (angles[:, None] * axes.reshape(len(angles), -1) + shifts)
     i, j = graph.edge_indices.T
     term = np.zeros((len(graph.ids), 1, pull.shape[1]))
     np.subtract.at(term[:, 0], j, pull)
     np.add.at(term[:, 0], i, pull)
-    return rotated(graph.poses, _rotation_problem(graph, weight, pull.shape[1]).solve(term)[:, 0])
+    return rotated(graph.poses, rotation_problem(graph, weight, pull.shape[1]).solve(term)[:, 0])
 
 
 def cut_edges(cycle: Cycle) -> Indices:
@@ -207,7 +206,13 @@ def cut_edges(cycle: Cycle) -> Indices:
     return cycle.edges[np.linspace(0, count - 1, _CUTS).astype(int)]
 
 
-def _rotation_problem(graph: PoseGraph, weight: Floats, columns: int = 1) -> linear.LinearProblem:
+def rotation_weight(graph: PoseGraph) -> Floats:
+    """Return the weights, (m,), by which the squares of the edges' angles add up to chi2."""
+    weight: Floats = 2 * rotation_weights(graph.information)
+    return weight
+
+
+def rotation_problem(graph: PoseGraph, weight: Floats, columns: int = 1) -> linear.LinearProblem:
     """Return the problem of the nodes' rotations from weights of edges, as if all were angles."""
     block = _without_zeros(weight)[:, None, None]
     blocks = linear.EdgeBlocks(block, -block, block)
@@ -227,7 +232,7 @@ def _without_zeros(weights: Floats) -> Floats:
     )
 
 
-def _rotation_residuals(graph: PoseGraph, poses: Floats) -> tuple[Floats, Floats]:
+def rotation_residuals(graph: PoseGraph, poses: Floats) -> tuple[Floats, Floats]:
     """Return the angles of the edges' rotation residuals, (m,), and their axes in the world."""
     d = graph.dimension
     e = residuals(graph, poses)[:, d:]

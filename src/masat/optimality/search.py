@@ -9,7 +9,7 @@ from itertools import islice
 import numpy as np
 
 from masat import _core, lie
-from masat.arrays import Flags, Floats
+from masat.arrays import Flags, Floats, Indices
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimality.cycles import (
@@ -22,6 +22,7 @@ from masat.optimality.cycles import (
     shifted,
 )
 from masat.optimality.relaxation import Relaxation, lift
+from masat.optimality.strings import Strings
 from masat.optimality.subgraphs import (
     Subgraph,
     connected_parts,
@@ -50,6 +51,9 @@ _SAME_POSE = 0.01
 _SAME_RESIDUAL = 0.02
 # Cycles tried at the most: the first divided by the number of nodes, but at least the second.
 _CYCLE_WORK, _MIN_CYCLES = 1_000_000, 10
+# Edges from the ends of a string within which nodes are free; strings that may fail one after the
+# other; and how near to a minimum the next strings are sought.
+_STRING_REACH, _MAX_FAILURES, _STRING_TOLERANCE = 4, 60, 1e-5
 _MAX_ROUNDS = 20
 # Bytes of a factor up to which all nodes are lifted at once: some seconds on one core.
 _MAX_LIFTED_BYTES = 3e8
@@ -103,7 +107,8 @@ def lower_minimum(
     search = _Search(graph, seed, progress, equations)
     try:
         for _ in range(_MAX_ROUNDS):
-            lower = search.at_uncertified_nodes() or search.at_cycles()
+            lower = graph.dimension == 3 and search.at_strings()
+            lower = lower or search.at_uncertified_nodes() or search.at_cycles()
             if progress.over or not (lower or search.at_all_nodes(lift_all)):
                 break
             search.converge()
@@ -140,6 +145,7 @@ class _Search:
         self._unit = min(1.0, first.reduced_chi2 or 1.0)
         self._relaxation = Relaxation(graph)
         self._cycles = AmbiguousCycles(graph)
+        self._strings = Strings(graph)
         self._most_rotate = False
         self._refused: dict[tuple[tuple[int, float], ...], Floats] = {}
         self._cycles_left = max(_MIN_CYCLES, _CYCLE_WORK // len(graph.ids))
@@ -203,7 +209,9 @@ class _Search:
                     nodes |= cycle.nodes
             where = neighborhood(self._graph, nodes)
             cuts = [None, *(cut_edges(shifts[0][0]) if shifts[0][1] == 0 else ())]
-            trials: list[Trial] = [partial(self._shift, shifts, cut) for cut in cuts]
+            own = np.array([cycle.edge for cycle, _ in shifts])
+            by = np.array([2 * np.pi * sign * cycle.axis for cycle, sign in shifts])
+            trials: list[Trial] = [partial(self._shift, own, by, cut) for cut in cuts]
             if self._graph.dimension == 3:
                 trials.append(self._lift)
             if any(self._try(where, trial) for trial in trials):
@@ -211,6 +219,34 @@ class _Search:
             else:
                 self._refused[key] = signed
         return len(changed) > 0
+
+    def at_strings(self) -> bool:
+        """Shift strings of edges; return whether that lowered chi2."""
+        first = self.chi2
+        refused: set[tuple[int, ...]] = set()
+        failures = 0
+        while not self._progress.over and failures < _MAX_FAILURES:
+            for string in self._strings.at(self.poses):
+                key = tuple(sorted(string.edges.tolist()))
+                if key in refused:
+                    continue
+                self._progress.tell("searching along a string of edges", self.chi2)
+                ends = np.zeros(len(self.poses), np.bool_)
+                ends[self._graph.edge_indices[string.edges]] = True
+                where = neighborhood(self._graph, ends, _STRING_REACH)
+                trial = partial(self._shift, string.edges, string.vectors, None)
+                if self._try(where, trial, nearly=0.0):
+                    near = self._minimum(self.poses, tolerance=_STRING_TOLERANCE)
+                    self.poses, self.chi2 = near.poses, near.chi2
+                    failures = 0
+                    break
+                refused.add(key)
+                failures += 1
+                if failures == _MAX_FAILURES:
+                    break
+            else:
+                break
+        return self.chi2 < first * (1 - LOWER)
 
     def at_all_nodes(self, always: bool) -> bool:
         """Lift all nodes where that may help and memory allows it; return whether it lowered chi2.
@@ -245,17 +281,15 @@ class _Search:
         )
 
     def _shift(
-        self, shifts: list[tuple[Cycle, float]], cut: int | None, part: Subgraph
+        self, shifted_edges: Indices, vectors: Floats, cut: int | None, part: Subgraph
     ) -> Result:
         """Spread residuals and shifts anew, the positions first without an edge that is cut."""
         graph, inside = part
         nodes = np.zeros(len(self.poses), np.bool_)
         nodes[graph.ids[inside]] = True
         edges = self._graph.topology.incident_edges(nodes)
-        dimension = 1 if graph.dimension == 2 else 3
-        by = np.zeros((len(edges), dimension))
-        for cycle, sign in shifts:
-            by[edges == cycle.edge] += 2 * np.pi * sign * cycle.axis
+        by = np.zeros((len(edges), vectors.shape[1]))
+        by[np.searchsorted(edges, shifted_edges)] = vectors
         turned = shifted(graph, by)
         loose = graph if cut is None else without_edges(graph, edges == cut)
         nearly = _NEARLY * self._unit
@@ -267,7 +301,7 @@ class _Search:
             report=_StopIfHopeless(graph.chi2 + nearly),
         )
 
-    def _try(self, nodes: Flags, trial: Trial) -> bool:
+    def _try(self, nodes: Flags, trial: Trial, nearly: float = _NEARLY) -> bool:
         """Keep what a trial makes of some nodes if it lowers chi2; return whether it does."""
         graph, before = self._graph, self.poses
         nodes = nodes.copy()
@@ -290,7 +324,7 @@ class _Search:
         self._put_back(poses, nodes)
         chi2 = self.chi2 + result.chi2 - part.graph.chi2
         lower = self.chi2 * (1 - LOWER)
-        if lower <= chi2 < self.chi2 + _NEARLY * self._unit:
+        if lower <= chi2 < self.chi2 + nearly * self._unit:
             # Nearly as low: with all nodes free it may become lower.
             free = self._minimum(poses, _StopIfHopeless(lower, chi2))
             poses, chi2 = free.poses, free.chi2
@@ -308,12 +342,14 @@ class _Search:
             poses[own] = lie.compose(back, poses[own])
             poses[k] = self.poses[k]
 
-    def _minimum(self, poses: Floats, report: _StopIfHopeless | None = None) -> Result:
+    def _minimum(
+        self, poses: Floats, report: _StopIfHopeless | None = None, tolerance: float = NEAR
+    ) -> Result:
         """Return the minimum that an optimizer finds from some poses."""
         return optimize(
             self._graph.with_poses(poses),
             "dogleg",
-            relative_tolerance=NEAR,
+            relative_tolerance=tolerance,
             max_iterations=50,
             report=report,
             equations=self._equations,
