@@ -54,6 +54,8 @@ _CYCLE_WORK, _MIN_CYCLES = 1_000_000, 10
 # Edges from the ends of a string within which nodes are free; strings that may fail one after the
 # other; and how near to a minimum the next strings are sought.
 _STRING_REACH, _MAX_FAILURES, _STRING_TOLERANCE = 4, 60, 1e-5
+# Strings after which chi2 that is nearly as low is optimized no further.
+_FIRST = 20
 _MAX_ROUNDS = 20
 # Bytes of a factor up to which all nodes are lifted at once: some seconds on one core.
 _MAX_LIFTED_BYTES = 3e8
@@ -235,7 +237,7 @@ class _Search:
                 ends[self._graph.edge_indices[string.edges]] = True
                 where = neighborhood(self._graph, ends, _STRING_REACH)
                 trial = partial(self._shift, string.edges, string.vectors, None)
-                if self._try(where, trial, nearly=0.0):
+                if self._try(where, trial, nearly=_NEARLY if failures < _FIRST else 0.0):
                     near = self._minimum(self.poses, tolerance=_STRING_TOLERANCE)
                     self.poses, self.chi2 = near.poses, near.chi2
                     failures = 0

@@ -147,30 +147,64 @@ class Strings:
 
 
 def _short_cycles(graph: PoseGraph) -> list[dict[int, int]]:
-    """Return a shortest cycle through each edge: its edges, 1 along the walk and -1 against it."""
+    """Return short cycles: their edges, with 1 along the walk and -1 against it.
+
+    They are a shortest one through each edge, and where that is the only one through an edge, the
+    shortest ones through it and each edge at its end.
+    """
     ends = graph.edge_indices.tolist()
     around: list[list[tuple[int, int, int]]] = [[] for _ in graph.ids]
     for edge, (i, j) in enumerate(ends):
         around[i].append((j, edge, 1))
         around[j].append((i, edge, -1))
     found: dict[frozenset[int], dict[int, int]] = {}
+    count = [0] * len(ends)
+
+    def add(cycle: dict[int, int]) -> None:
+        if len(cycle) > 2 and frozenset(cycle) not in found:
+            found[frozenset(cycle)] = cycle
+            for edge in cycle:
+                count[edge] += 1
+
     for edge, (i, j) in enumerate(ends):
-        # From j back to i without the edge.
-        came: dict[int, tuple[int, int, int]] = {j: (-1, -1, 0)}
-        depth = {j: 0}
-        queue = deque([j])
-        while queue and i not in came:
-            node = queue.popleft()
-            if depth[node] == _MAX_EDGES - 1:
-                break
-            for other, through, sign in around[node]:
-                if through != edge and other not in came:
-                    came[other], depth[other] = (node, through, sign), depth[node] + 1
-                    queue.append(other)
-        if i in came:
-            cycle, node = {edge: 1}, i
-            while node != j:
-                node, through, sign = came[node]
-                cycle[through] = sign
-            found.setdefault(frozenset(cycle), cycle)
+        walk = _shortest_walk(around, j, i, edge)
+        if walk:
+            add({edge: 1, **walk})
+    for edge, (i, j) in enumerate(ends):
+        if count[edge] != 1:
+            continue
+        cycles = []
+        for node, through, sign in around[j]:
+            if through == edge or node == i:
+                continue
+            walk = _shortest_walk(around, node, i, edge, j)
+            if walk:
+                cycles.append({edge: 1, through: sign, **walk})
+        for cycle in sorted(cycles, key=len):
+            if all(count[other] < 2 for other in cycle):
+                add(cycle)
     return list(found.values())
+
+
+def _shortest_walk(
+    around: list[list[tuple[int, int, int]]], first: int, last: int, without: int, avoided: int = -1
+) -> dict[int, int] | None:
+    """Return the edges of a shortest walk between two nodes without an edge, if it is short."""
+    came: dict[int, tuple[int, int, int]] = {first: (-1, -1, 0)}
+    depth = {first: 0}
+    queue = deque([first])
+    while queue and last not in came:
+        node = queue.popleft()
+        if depth[node] == _MAX_EDGES - 1:
+            break
+        for other, through, sign in around[node]:
+            if through != without and other != avoided and other not in came:
+                came[other], depth[other] = (node, through, sign), depth[node] + 1
+                queue.append(other)
+    if last not in came:
+        return None
+    walk, node = {}, last
+    while node != first:
+        node, through, sign = came[node]
+        walk[through] = sign
+    return walk
