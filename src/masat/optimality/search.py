@@ -53,9 +53,9 @@ _SAME_RESIDUAL = 0.02
 _CYCLE_WORK, _MIN_CYCLES = 1_000_000, 10
 # Edges from the ends of a string within which nodes are free; strings that may fail one after the
 # other; and how near to a minimum the next strings are sought.
-_STRING_REACH, _MAX_FAILURES, _STRING_TOLERANCE = 4, 60, 1e-5
+_STRING_REACH, _MAX_FAILURES, _STRING_TOLERANCE = 4, 30, 1e-5
 # Strings after which chi2 that is nearly as low is optimized no further.
-_FIRST = 20
+_FIRST = 10
 _MAX_ROUNDS = 20
 # Bytes of a factor up to which all nodes are lifted at once: some seconds on one core.
 _MAX_LIFTED_BYTES = 3e8

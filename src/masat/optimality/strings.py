@@ -18,9 +18,9 @@ from masat.optimality.cycles import rotation_problem, rotation_residuals, rotati
 
 _TURN = 2 * np.pi
 # Edges of a short cycle at the most, and cycles that a string crosses at the most.
-_MAX_EDGES, _MAX_CROSSED = 10, 6
-# Radians: a cycle whose rotation residuals add up to less has closed the right way.
-_MIN_SUM = 2.0
+_MAX_EDGES, _MAX_CROSSED = 10, 8
+# Radians: sums of a cycle's rotation residuals from which on a string begins, and ends, there.
+_FIRST_SUM, _LAST_SUM = 2.6, 1.8
 # Strings whose costs are computed at once.
 _MAX_STRINGS = 4000
 # Nodes up to which short cycles are sought: some tenths of a second.
@@ -74,9 +74,9 @@ class Strings:
         angle, axis = rotation_residuals(self._graph, poses)
         residual = angle[:, None] * axis
         found: dict[frozenset[int], dict[int, int]] = {}
-        doubtful = self._doubtful(poses)
-        for number in np.flatnonzero(doubtful).tolist():
-            for string in self._strings_from(number, doubtful):
+        sums = self._sums(residual)
+        for number in np.flatnonzero(sums > _FIRST_SUM).tolist():
+            for string in self._strings_from(number, sums > _LAST_SUM):
                 found.setdefault(frozenset(string), string)
         strings = sorted(found.values(), key=len)[:_MAX_STRINGS]
         if not strings:
@@ -105,15 +105,13 @@ class Strings:
         out.sort(key=lambda string: string.cost)
         return out
 
-    def _doubtful(self, poses: Floats) -> Flags:
-        """Return at which cycles the residuals of the rotations add up to much."""
-        angle, axis = rotation_residuals(self._graph, poses)
-        residual = angle[:, None] * axis
+    def _sums(self, residual: Floats) -> Floats:
+        """Return the lengths of the sums of the residuals along each short cycle."""
         sums = [
             np.linalg.norm(np.array(list(cycle.values())) @ residual[list(cycle)])
             for cycle in self._cycles
         ]
-        return np.array(sums) > _MIN_SUM
+        return np.array(sums)
 
     def _strings_from(self, first: int, doubtful: Flags) -> list[dict[int, int]]:
         """Return the shortest strings from a cycle to other doubtful ones, and to the border."""
