@@ -52,7 +52,7 @@ def world(poses: np.ndarray, edges: np.ndarray) -> masat.PoseGraph:
 
 
 def loop(nodes: int) -> masat.PoseGraph:
-    """A circle of poses one meter apart."""
+    """Return a circle of poses one meter apart."""
     angle = 2 * np.pi * np.arange(nodes) / nodes
     radius = nodes / (2 * np.pi)
     edges = np.column_stack([np.arange(nodes), (np.arange(nodes) + 1) % nodes])
@@ -60,7 +60,7 @@ def loop(nodes: int) -> masat.PoseGraph:
 
 
 def corridor(nodes: int) -> masat.PoseGraph:
-    """A straight line and back, two meters beside it."""
+    """Return a straight line and back, two meters beside it."""
     half = nodes // 2
     there = np.arange(half)
     x = np.append(there, there[::-1])
@@ -70,7 +70,7 @@ def corridor(nodes: int) -> masat.PoseGraph:
 
 
 def star(loops: int, length: int) -> masat.PoseGraph:
-    """Circles of poses that meet in node 0."""
+    """Return circles of poses that meet in node 0."""
     poses, edges = [np.zeros((1, 3))], []
     for k in range(loops):
         first = 1 + k * (length - 1)
@@ -83,7 +83,7 @@ def star(loops: int, length: int) -> masat.PoseGraph:
 
 
 def blobs(side: int, length: int, bridges: int) -> masat.PoseGraph:
-    """Two square grids of poses, joined by chains of poses."""
+    """Return two square grids of poses, joined by chains of poses."""
     random = np.random.default_rng(0)
     y, x = np.divmod(np.arange(side * side), side)
     grid = np.column_stack([x, y, random.uniform(-np.pi, np.pi, side * side)])
@@ -98,7 +98,8 @@ def blobs(side: int, length: int, bridges: int) -> masat.PoseGraph:
             )
         ]
     )
-    poses, edges = [grid, grid + [side + length, 0, 0]], [within, within + side * side]
+    other = grid + np.array([side + length, 0.0, 0.0])
+    poses, edges = [grid, other], [within, within + side * side]
     free = 2 * side * side
     for k in range(bridges):
         row = side - 1 - k
@@ -113,7 +114,7 @@ def blobs(side: int, length: int, bridges: int) -> masat.PoseGraph:
 
 
 def sparse(nodes: int) -> masat.PoseGraph:
-    """A walk through Manhattan with few loop closures."""
+    """Return a walk through Manhattan with few loop closures."""
     return WORLDS["manhattan"](nodes, round(1.1 * nodes), seed=1)
 
 
@@ -167,7 +168,9 @@ def hard() -> Iterator[Row]:
         stored = path.with_name(f"{name}_best.g2o.gz")
         if stored.exists():
             begin = perf_counter()
-            control = masat.optimize(graph.with_poses(masat.read(stored).poses), "gauss_newton")
+            known = masat.read(stored).poses
+            assert known is not None
+            control = masat.optimize(graph.with_poses(known), "gauss_newton")
             best, seconds = control.chi2, perf_counter() - begin
         yield Row(name, graph, best, seconds)
 

@@ -137,7 +137,10 @@ def _poses(graph: PoseGraph) -> Floats:
 
 
 def _is_plausible(near: Result) -> bool:
-    """Whether no cycle is ambiguous and the chordal certificate fails by little, or chi2's holds."""
+    """Whether a minimum looks global.
+
+    Either no cycle is ambiguous and the chordal certificate fails by little, or that of chi2 holds.
+    """
     plausible = Relaxation(near.graph).plausible(near.poses)
     if plausible and len(AmbiguousCycles(near.graph).edges(near.poses)) == 0:
         return True

@@ -203,7 +203,8 @@ def cut_edges(cycle: Cycle) -> Indices:
     count = len(cycle.edges)
     if count < LONG:
         return cycle.edges[:0]
-    return cycle.edges[np.linspace(0, count - 1, _CUTS).astype(int)]
+    chosen: Indices = cycle.edges[np.linspace(0, count - 1, _CUTS).astype(np.int64)]
+    return chosen
 
 
 def rotation_weight(graph: PoseGraph) -> Floats:

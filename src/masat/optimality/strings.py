@@ -12,15 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from masat.arrays import Flags, Floats, Indices
+from masat.arrays import Floats, Indices
 from masat.graph import PoseGraph
 from masat.optimality.cycles import rotation_problem, rotation_residuals, rotation_weight
 
 _TURN = 2 * np.pi
 # Edges of a short cycle at the most, and cycles that a string crosses at the most.
-_MAX_EDGES, _MAX_CROSSED = 10, 8
-# Radians: sums of a cycle's rotation residuals from which on a string begins, and ends, there.
-_FIRST_SUM, _LAST_SUM = 2.6, 1.8
+_MAX_EDGES, _MAX_CROSSED = 10, 16
+# Radians: sums of a cycle's rotation residuals from which on a string begins there; and from which
+# on one of at most so many edges ends there. The border of the graph ends such a string, too.
+_FIRST_SUM, _LAST_SUM, _SHORT = 2.6, 1.8, 8
 # Strings whose costs are computed at once.
 _MAX_STRINGS = 4000
 # Nodes up to which short cycles are sought: some tenths of a second.
@@ -76,7 +77,7 @@ class Strings:
         found: dict[frozenset[int], dict[int, int]] = {}
         sums = self._sums(residual)
         for number in np.flatnonzero(sums > _FIRST_SUM).tolist():
-            for string in self._strings_from(number, sums > _LAST_SUM):
+            for string in self._strings_from(number, sums):
                 found.setdefault(frozenset(string), string)
         strings = sorted(found.values(), key=len)[:_MAX_STRINGS]
         if not strings:
@@ -113,7 +114,7 @@ class Strings:
         ]
         return np.array(sums)
 
-    def _strings_from(self, first: int, doubtful: Flags) -> list[dict[int, int]]:
+    def _strings_from(self, first: int, sums: Floats) -> list[dict[int, int]]:
         """Return the shortest strings from a cycle to other doubtful ones, and to the border."""
         strings: dict[int, dict[int, int]] = {first: {}}
         last: dict[int, int] = {first: -1}
@@ -134,12 +135,13 @@ class Strings:
                     sign = -string[entered] * cycle[entered] * cycle[edge]
                 longer = {**string, edge: sign}
                 others = [other for other in self._through[edge] if other != number]
-                if not others:
+                short = len(longer) <= _SHORT
+                if not others and short:
                     out.append(longer)
-                elif others[0] not in strings:
+                elif others and others[0] not in strings:
                     strings[others[0]], last[others[0]] = longer, edge
                     queue.append(others[0])
-                    if doubtful[others[0]]:
+                    if sums[others[0]] > (_LAST_SUM if short else _FIRST_SUM):
                         out.append(longer)
         return out
 
