@@ -190,12 +190,12 @@ def shifted(graph: PoseGraph, shifts: Floats) -> Floats:
     assert graph.poses is not None
     angles, axes = rotation_residuals(graph, graph.poses)
     weight = rotation_weight(graph)
-    pull = weight[:, None] * (angles[:, None] * axes.reshape(len(angles), -1) + shifts)
+    slope = weight[:, None] * (angles[:, None] * axes.reshape(len(angles), -1) + shifts)
     i, j = graph.edge_indices.T
-    term = np.zeros((len(graph.ids), 1, pull.shape[1]))
-    np.subtract.at(term[:, 0], j, pull)
-    np.add.at(term[:, 0], i, pull)
-    return rotated(graph.poses, rotation_problem(graph, weight, pull.shape[1]).solve(term)[:, 0])
+    term = np.zeros((len(graph.ids), 1, slope.shape[1]))
+    np.subtract.at(term[:, 0], j, slope)
+    np.add.at(term[:, 0], i, slope)
+    return rotated(graph.poses, rotation_problem(graph, weight, slope.shape[1]).solve(term)[:, 0])
 
 
 def cut_edges(cycle: Cycle) -> Indices:

@@ -53,7 +53,7 @@ _SAME_RESIDUAL = 0.02
 _CYCLE_WORK, _MIN_CYCLES = 1_000_000, 10
 # Edges from the ends of a string within which nodes are free; strings that may fail one after the
 # other; and how near to a minimum the next strings are sought.
-_STRING_REACH, _MAX_FAILURES, _STRING_TOLERANCE = 4, 30, 1e-5
+_STRING_REACH, _MAX_FAILURES, _STRING_TOLERANCE = 6, 40, 1e-5
 # Strings after which chi2 that is nearly as low is optimized no further.
 _FIRST = 10
 _MAX_ROUNDS = 20

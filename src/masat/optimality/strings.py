@@ -96,12 +96,12 @@ class Strings:
             edges = np.fromiter(string, np.int32)
             signs = np.fromiter(string.values(), np.float64)
             kept = _TURN * signs - rotations[j[edges], column] + rotations[i[edges], column]
-            pull = (signs * self._weight[edges]) @ residual[edges]
-            length = float(np.linalg.norm(pull))
+            slope = (signs * self._weight[edges]) @ residual[edges]
+            length = float(np.linalg.norm(slope))
             stiffness = float((signs * self._weight[edges]) @ kept)
             cost = _TURN * stiffness - 2 * _TURN * length
             if cost < 0:
-                vectors = -_TURN * np.outer(signs, pull / length)
+                vectors = -_TURN * np.outer(signs, slope / length)
                 out.append(String(cost, edges, vectors))
         out.sort(key=lambda string: string.cost)
         return out
