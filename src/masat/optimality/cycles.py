@@ -30,6 +30,9 @@ _OVERLAP = 0.1
 # Edges from which on a cycle can bend in several ways without another winding number, and how
 # many of them are cut, one at a time.
 LONG, _CUTS = 50, 4
+# Cost of a shift, by the rotations alone, up to which a long cycle is ambiguous: together with
+# other cycles, or with the positions, the shift may pay.
+_LONG_COST = 20.0
 # Weight of a rotation that is not measured, as a fraction of the median of those that are.
 _NEGLIGIBLE = 1e-9
 # Radians: nodes that rotate by less are fixed while a shift is tried.
@@ -113,7 +116,8 @@ class AmbiguousCycles:
         """Return the edges of the ambiguous cycles, the most promising first."""
         cost = self._cost(rotation_residuals(self._graph, poses)[0])
         kept = self._kept
-        found = np.flatnonzero((cost < 0) & (kept < _MAX_KEPT) & (kept > 1e-9))
+        limit = np.where(kept * LONG < 1, _LONG_COST, 0.0)
+        found = np.flatnonzero((cost < limit) & (kept < _MAX_KEPT) & (kept > 1e-9))
         order: Indices = found[np.argsort(cost[found], kind="stable")].astype(np.int32)
         return order
 
