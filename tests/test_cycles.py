@@ -1,10 +1,12 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 import masat
 from masat import PoseGraph, lie
 from masat.optimality import search as searching
-from masat.optimality.cycles import AmbiguousCycles
+from masat.optimality.cycles import LONG, AmbiguousCycles, cut_edges, shifted
 from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
 
@@ -112,3 +114,70 @@ def test_each_component_is_shifted_by_itself(monkeypatch):
     assert search.chi2 < 1e-9
     held = both.index(both.gauge)
     assert (search.poses[held] == local.graph.poses[held]).all()
+
+
+@pytest.mark.parametrize(
+    ("dimension", "axis"), [(2, None), (3, (0, 0, 1)), (3, (1, 0, 0)), (3, (0.6, 0.0, 0.8))]
+)
+def test_spreading_a_shift_anew_undoes_a_twist(dimension, axis):
+    graph = ring(24, dimension, axis, turns=1)
+    (cycle,) = AmbiguousCycles(graph).at(graph.poses)
+    shifts = np.zeros((24, 1 if dimension == 2 else 3))
+    shifts[cycle.edge] = -2 * np.pi * cycle.axis
+    assert chi2(graph, shifted(graph, shifts)) < 1e-9
+    # Without a shift each edge keeps its part, since all have the same weight.
+    same = shifted(graph, 0 * shifts)
+    assert np.isclose(chi2(graph, same), chi2(graph, graph.poses))
+
+
+def test_a_pair_of_rings_that_share_edges_is_tried_together():
+    """Three chains of twelve edges between two nodes; the rotations along one go once around."""
+    chains = [[0, *range(2 + 11 * k, 13 + 11 * k), 1] for k in range(3)]
+    edges = [pair for chain in chains for pair in pairwise(chain)]
+    poses = np.zeros((35, 3))
+    poses[chains[0], 2] = 2 * np.pi * np.arange(13) / 12
+    graph = PoseGraph.from_arrays(
+        edges, np.zeros((36, 3)), np.diag([1e-4, 1e-4, 100.0]), poses=poses
+    )
+    cycles = AmbiguousCycles(graph)
+    found = list(cycles.at(poses))
+    assert [cycle.edges.tolist() for cycle in found] == [list(range(12))]
+    assert np.isclose(found[0].cost, 4 * np.pi * 100 * (np.pi / 18 - np.pi / 6))
+    assert cycles.pairs(found) == []
+    # A shift costs the same with the sign that undoes it, and one chain is shared by both cycles.
+    both = [found[0], found[0]._replace(edge=12, axis=-found[0].axis)]
+    both[1] = both[1]._replace(rotations=cycles.rotations(12))
+    assert len(cycles.pairs(both)) == 1
+
+
+def test_long_cycles_are_cut_at_a_few_edges():
+    assert (
+        len(cut_edges(next(AmbiguousCycles(ring(24, 2, turns=1)).at(ring(24, 2, turns=1).poses))))
+        == 0
+    )
+    graph = ring(2 * LONG, 2, turns=1)
+    (cycle,) = AmbiguousCycles(graph).at(graph.poses)
+    cuts = cut_edges(cycle)
+    assert len(cuts) == 4
+    assert set(cuts) <= set(cycle.edges)
+    assert {cuts[0], cuts[-1]} == {cycle.edges[0], cycle.edges[-1]}
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_long_loop_ends_at_the_best_of_all_winding_numbers(seed):
+    truth = ring(60, 2).with_poses(ring(60, 2).poses)
+    random = np.random.default_rng(seed)
+    noisy = truth.measurements + random.normal(size=(60, 3)) * [0.01, 0.01, 0.3]
+    information = np.diag([1e4, 1e4, 1 / 0.09])
+    graph = PoseGraph.from_arrays(truth.edges, noisy, information)
+    odometry = masat.initialize(graph, "odometry")
+    best = np.inf
+    end = lie.between(odometry.poses[-1:], odometry.poses[:1])
+    gap = lie.local(noisy[-1:], end)[0, 2]
+    for turns in range(-2, 3):
+        angles = -(gap + 2 * np.pi * turns) * np.arange(60) / 60
+        poses = odometry.poses.copy()
+        poses[:, 2] += np.where(np.isfinite(angles), angles, 0)
+        for method in ("dogleg", "gauss_newton"):
+            best = min(best, masat.optimize(graph.with_poses(poses), method).chi2)
+    assert masat.solve(graph).chi2 <= best * (1 + 1e-6)

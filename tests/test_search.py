@@ -257,3 +257,26 @@ def test_search_of_the_study_are_left(name, data_dir, monkeypatch):
     local = masat.optimize(initial_guess(graph, "chordal"))
     assert local.chi2 > control.chi2 * (1 + 5e-6)
     assert lower_minimum(local.graph).chi2 <= control.chi2 * (1 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "M3500_0.35_0.35_0.35_9002",
+        "blobs225_200_3_0.1_0.2_23",
+        "blobs225_400_3_0.1_0.1_31",
+        "blobs400_100_3_0.1_0.2_12",
+        "loop_corridor3000_0.1_0.1_26",
+        "sphere500_iso_0.5_0.5_1",
+        "star10x100_0.1_0.2_1",
+    ],
+)
+def test_the_best_known_minima_of_hard_graphs_are_found(name, data_dir):
+    path = data_dir / "hard_minima" / f"{name}.g2o.gz"
+    if not path.exists():
+        pytest.skip("needs the graphs in hard_minima")
+    graph = masat.read(path)
+    best = 30.486929
+    if not name.startswith("star"):
+        best = masat.read(path.with_name(f"{name}_best.g2o.gz")).chi2
+    assert masat.solve(graph).chi2 <= best * (1 + 1e-6)

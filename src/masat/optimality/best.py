@@ -11,8 +11,9 @@ from masat.assembly import AssembledGraph
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimality.bounds import looks_global
-from masat.optimality.relaxation import Relaxation, lift
-from masat.optimality.search import LOWER, NEAR, lower_minimum
+from masat.optimality.cycles import AmbiguousCycles
+from masat.optimality.relaxation import Relaxation
+from masat.optimality.search import lower_minimum
 from masat.optimizers import Iteration, Result, optimize
 from masat.optimizers.equations import normal_equations
 from masat.outliers import cannot_be_right, describe_outliers
@@ -28,8 +29,6 @@ _PATIENCE, _STRICTNESS = 3, 10.0
 # Operations of a factorization above which not even these iterations are made: some seconds on one
 # core. On public graphs and simulated worlds the chordal guess itself is good enough for the test.
 _EXPENSIVE = 1e10
-# Bytes of a factor up to which all nodes are lifted at once: some seconds on one core.
-_MAX_LIFTED_BYTES = 3e8
 
 
 class Minimum(NamedTuple):
@@ -61,7 +60,7 @@ def best_minimum(
     Gauss-Newton leads to a first minimum, or the dogleg method where that takes many iterations.
     If the certificate of the chordal cost fails there by little, or chi2 itself is certified, the
     search ends. If not, `lower_minimum` searches around the doubtful parts. Where the first minimum
-    took many iterations and memory allows it, all nodes are then lifted once, too.
+    took many iterations, all nodes are lifted, too.
 
     Where chi2 is so large that no local minimum explains it (`outliers.cannot_be_right`), the graph
     has false edges. There is no search then, and the first minimum may not be quite reached.
@@ -107,9 +106,9 @@ def best_minimum(
         for doubt in doubts:
             progress.tell(doubt, near.chi2, warning=True)
         try:
-            found = lower_minimum(near.graph, seed=seed, progress=progress, equations=equations)
-            if not (soon or progress.over):
-                found = _lift_all(guess, found, seed, progress, equations)
+            found = lower_minimum(
+                near.graph, seed=seed, progress=progress, equations=equations, lift_all=not soon
+            )
         except KeyboardInterrupt:
             progress.interrupt()
             return Minimum(near.poses, False, doubts)
@@ -138,8 +137,14 @@ def _poses(graph: PoseGraph) -> Floats:
 
 
 def _is_plausible(near: Result) -> bool:
-    """Whether the chordal certificate fails by little, or that of chi2 itself holds."""
-    return Relaxation(near.graph).plausible(near.poses) or looks_global(near.graph, near.chi2)
+    """Whether a minimum looks global.
+
+    Either no cycle is ambiguous and the chordal certificate fails by little, or that of chi2 holds.
+    """
+    plausible = Relaxation(near.graph).plausible(near.poses)
+    if plausible and len(AmbiguousCycles(near.graph).edges(near.poses)) == 0:
+        return True
+    return looks_global(near.graph, near.chi2)
 
 
 def _first_minimum(
@@ -175,29 +180,3 @@ class _StopIfWrong:
         if self._iterations == _PATIENCE:
             self.is_wrong = cannot_be_right(self._graph, self._lowest, strictness=_STRICTNESS)
         return self.is_wrong
-
-
-def _lift_all(
-    guess: PoseGraph,
-    found: Result,
-    seed: int,
-    progress: Progress,
-    equations: _core.NormalEquations,
-) -> Result:
-    """Lift all nodes, where memory allows it; return the lower minimum."""
-    if Relaxation(guess).lifted_bytes() > _MAX_LIFTED_BYTES:
-        return found
-    progress.tell("lifting all nodes", found.chi2)
-    try:
-        lifted = guess.with_poses(lift(found.graph, seed=seed))
-        other = optimize(
-            lifted, "dogleg", relative_tolerance=NEAR, equations=equations, progress=progress
-        )
-    except KeyboardInterrupt:
-        progress.interrupt()
-        return found
-    except (InitializationError, OptimizationError):
-        return found
-    if other.chi2 >= found.chi2 * (1 - LOWER):
-        return found
-    return lower_minimum(other.graph, seed=seed, progress=progress, equations=equations)

@@ -6,7 +6,7 @@ the next, the edges of a cycle mostly share another 2 pi.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -21,10 +21,18 @@ from masat.residuals import residuals
 _TURN = 2 * np.pi
 # An edge that keeps more than this fraction of a shift by 2 pi gains nothing from it.
 _MAX_KEPT = 0.5
-# chi2 that a shift must promise to gain from the rotations alone; positions always add to the cost.
-_MIN_GAIN = 3.0
 # Edges that take more than this fraction of what the cycle's own edge takes are of the same cycle.
-_SAME_CYCLE = 0.5
+_SAME_CYCLE = 0.9
+# Edges that take more than this fraction bend with the cycle.
+_SHARING = 0.1
+# Correlation of the shifts of two cycles from which on they are tried together.
+_OVERLAP = 0.1
+# Edges from which on a cycle can bend in several ways without another winding number, and how
+# many of them are cut, one at a time.
+LONG, _CUTS = 50, 4
+# Cost of a shift, by the rotations alone, up to which a long cycle is ambiguous: together with
+# other cycles, or with the positions, the shift may pay.
+_LONG_COST = 20.0
 # Weight of a rotation that is not measured, as a fraction of the median of those that are.
 _NEGLIGIBLE = 1e-9
 # Radians: nodes that rotate by less are fixed while a shift is tried.
@@ -44,12 +52,21 @@ class Cycle(NamedTuple):
         Axis of that residual in the world; in 2D its sign.
     rotations : ndarray, (n,)
         By how much each node rotates for the least change of all rotations, in radians.
+    cost : float
+        By how much the shift against the residual changes chi2, if rotations are all there is.
+    edges : ndarray, (k,)
+        Indices of the edges that share the shift alike, in ascending order.
+    nodes : ndarray of bool, (n,)
+        The ends of all edges that take a good part of the shift.
     """
 
     edge: int
     residual: float
     axis: Floats
     rotations: Floats
+    cost: float
+    edges: Indices
+    nodes: Flags
 
 
 class AmbiguousCycles:
@@ -57,29 +74,23 @@ class AmbiguousCycles:
 
     If rotations were all there is, a shift would cost 4 pi w (pi s - |e|): w is the weight of an
     edge of the cycle, e the angle of its residual, and s the fraction of the shift that it keeps
-    while the rest of the cycle takes the remainder. Source: Carlone and Censi, From angular
-    manifolds to the integer lattice, T-RO 2014, who search for all winding numbers at once and for
-    rotations alone.
+    while the rest of the cycle takes the remainder. Positions always add to that cost. Source:
+    Carlone and Censi, From angular manifolds to the integer lattice, T-RO 2014, who search for all
+    winding numbers at once and for rotations alone.
 
     Parameters
     ----------
     graph : PoseGraph
         The graph.
-    unit : float
-        The chi2 that counts as one.
     """
 
-    def __init__(self, graph: PoseGraph, unit: float = 1.0) -> None:
+    def __init__(self, graph: PoseGraph) -> None:
         self._graph = graph
-        self._min_gain = _MIN_GAIN * unit
-        # chi2 is this weight times the square of the angle.
-        self._weight = 2 * rotation_weights(graph.information)
+        self._weight = rotation_weight(graph)
         self._free = graph.elimination.free_nodes()
         self._free_index = np.full(len(graph.ids), -1, np.int32)
         self._free_index[self._free] = np.arange(len(self._free), dtype=np.int32)
-        block = _without_zeros(self._weight)[:, None, None]
-        zeros = np.zeros((len(graph.ids), 1, 1))
-        self._problem = linear.LinearProblem(graph, linear.EdgeBlocks(block, -block, block), zeros)
+        self._problem = rotation_problem(graph, self._weight)
 
     def rotations(self, edge: int) -> Floats:
         """Return by how much each node rotates for a shift by 2 pi at an edge, (n,), in radians."""
@@ -103,16 +114,18 @@ class AmbiguousCycles:
 
     def edges(self, poses: Floats) -> Indices:
         """Return the edges of the ambiguous cycles, the most promising first."""
-        cost = self._cost(_rotation_residuals(self._graph, poses)[0])
+        cost = self._cost(rotation_residuals(self._graph, poses)[0])
         kept = self._kept
-        found = np.flatnonzero((cost < -self._min_gain) & (kept < _MAX_KEPT) & (kept > 1e-9))
+        limit = np.where(kept * LONG < 1, _LONG_COST, 0.0)
+        found = np.flatnonzero((cost < limit) & (kept < _MAX_KEPT) & (kept > 1e-9))
         order: Indices = found[np.argsort(cost[found], kind="stable")].astype(np.int32)
         return order
 
     def at(self, poses: Floats) -> Iterator[Cycle]:
         """Yield the ambiguous cycles, each once, by one of its edges, the most promising first."""
         i, j = self._graph.edge_indices.T
-        residual, axis = _rotation_residuals(self._graph, poses)
+        residual, axis = rotation_residuals(self._graph, poses)
+        cost = self._cost(residual)
         seen = np.zeros(len(residual), np.bool_)
         for edge in self.edges(poses):
             if seen[edge]:
@@ -120,12 +133,95 @@ class AmbiguousCycles:
             rotations = self.rotations(edge)
             taken = rotations[j] - rotations[i]
             taken[edge] -= _TURN
-            seen |= np.abs(taken) > _SAME_CYCLE * abs(taken[edge])
-            yield Cycle(int(edge), float(residual[edge]), axis[edge], rotations)
+            own = np.abs(taken) > _SAME_CYCLE * abs(taken[edge])
+            seen |= own
+            nodes = np.zeros(len(rotations), np.bool_)
+            nodes[self._graph.edge_indices[np.abs(taken) > _SHARING * abs(taken[edge])]] = True
+            yield Cycle(
+                int(edge),
+                float(residual[edge]),
+                axis[edge],
+                rotations,
+                float(cost[edge]),
+                np.flatnonzero(own).astype(np.int32),
+                nodes,
+            )
+
+    def pairs(self, cycles: Sequence[Cycle]) -> list[tuple[Cycle, Cycle]]:
+        """Return pairs that share edges, both long or of a promising cost, the best first."""
+        i, j = self._graph.edge_indices.T
+        found = []
+        for k, one in enumerate(cycles):
+            for other in cycles[:k]:
+                edge = other.edge
+                taken = one.rotations[i[edge]] - one.rotations[j[edge]]
+                # Half of what the two shifts add to the sum of their costs.
+                joint = _TURN * self._weight[edge] * taken * float(np.dot(one.axis, other.axis))
+                own = self._stiffness(one.edge) * self._stiffness(edge)
+                cost = one.cost + other.cost + 2 * joint
+                long = len(one.edges) >= LONG and len(other.edges) >= LONG
+                if (cost < 0 or long) and abs(joint) > _OVERLAP * own**0.5:
+                    found.append((cost, other, one))
+        found.sort(key=lambda pair: pair[0])
+        return [(one, other) for _, one, other in found]
+
+    def _stiffness(self, edge: int) -> float:
+        """Return the chi2 of a shift by 2 pi at an edge where all residuals are zero."""
+        return float(_TURN**2 * self._weight[edge] * self._kept[edge])
 
     def _cost(self, residual: Floats) -> Floats:
         cost: Floats = 2 * _TURN * self._weight * (np.pi * self._kept - residual)
         return cost
+
+
+def shifted(graph: PoseGraph, shifts: Floats) -> Floats:
+    """Return poses in which rotation residuals, and shifts of them, are spread anew.
+
+    The rotations are those that minimize the weighted squares of all rotation residuals and
+    shifts, in 2D exactly, in 3D to first order; positions stay.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        A graph with poses.
+    shifts : ndarray, (m, 1) or (m, 3)
+        What is added to the residual of each edge: an angle, or a rotation vector in the world.
+
+    Returns
+    -------
+    ndarray, (n, 3) or (n, 7)
+    """
+    assert graph.poses is not None
+    angles, axes = rotation_residuals(graph, graph.poses)
+    weight = rotation_weight(graph)
+    slope = weight[:, None] * (angles[:, None] * axes.reshape(len(angles), -1) + shifts)
+    i, j = graph.edge_indices.T
+    term = np.zeros((len(graph.ids), 1, slope.shape[1]))
+    np.subtract.at(term[:, 0], j, slope)
+    np.add.at(term[:, 0], i, slope)
+    return rotated(graph.poses, rotation_problem(graph, weight, slope.shape[1]).solve(term)[:, 0])
+
+
+def cut_edges(cycle: Cycle) -> Indices:
+    """Return a few edges of a long cycle, evenly spaced, and none of a short one."""
+    count = len(cycle.edges)
+    if count < LONG:
+        return cycle.edges[:0]
+    chosen: Indices = cycle.edges[np.linspace(0, count - 1, _CUTS).astype(np.int64)]
+    return chosen
+
+
+def rotation_weight(graph: PoseGraph) -> Floats:
+    """Return the weights, (m,), by which the squares of the edges' angles add up to chi2."""
+    weight: Floats = 2 * rotation_weights(graph.information)
+    return weight
+
+
+def rotation_problem(graph: PoseGraph, weight: Floats, columns: int = 1) -> linear.LinearProblem:
+    """Return the problem of the nodes' rotations from weights of edges, as if all were angles."""
+    block = _without_zeros(weight)[:, None, None]
+    blocks = linear.EdgeBlocks(block, -block, block)
+    return linear.LinearProblem(graph, blocks, np.zeros((len(graph.ids), 1, columns)))
 
 
 def _without_zeros(weights: Floats) -> Floats:
@@ -141,7 +237,7 @@ def _without_zeros(weights: Floats) -> Floats:
     )
 
 
-def _rotation_residuals(graph: PoseGraph, poses: Floats) -> tuple[Floats, Floats]:
+def rotation_residuals(graph: PoseGraph, poses: Floats) -> tuple[Floats, Floats]:
     """Return the angles of the edges' rotation residuals, (m,), and their axes in the world."""
     d = graph.dimension
     e = residuals(graph, poses)[:, d:]
@@ -153,14 +249,16 @@ def _rotation_residuals(graph: PoseGraph, poses: Floats) -> tuple[Floats, Floats
     return 2 * np.arcsin(np.minimum(sine, 1.0)), axis[..., 0]
 
 
-def rotated(poses: Floats, axis: Floats, angles: Floats) -> Floats:
-    """Return poses rotated on the spot by angles about an axis of the world."""
+def rotated(poses: Floats, vectors: Floats) -> Floats:
+    """Return poses rotated on the spot by angles, (n, 1), or rotation vectors of the world."""
     d = 2 if poses.shape[1] == 3 else 3
     steps = np.zeros((len(poses), lie.DOF[d]))
     if d == 2:
-        steps[:, 2] = angles * axis
+        steps[:, 2] = vectors[:, 0]
     else:
-        own = axis @ _core.rotation_matrices(poses)
+        angles = np.sqrt(np.square(vectors).sum(axis=1))
+        axes = vectors / np.maximum(angles, 1e-300)[:, None]
+        own = (axes[:, None] @ _core.rotation_matrices(poses))[:, 0]
         half = (angles / 2 + np.pi / 2) % np.pi - np.pi / 2
         steps[:, 3:] = np.sin(half)[:, None] * own
     return lie.retract(poses, steps)

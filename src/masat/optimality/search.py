@@ -4,22 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from itertools import islice
 
 import numpy as np
 
 from masat import _core, lie
-from masat.arrays import Flags, Floats
+from masat.arrays import Flags, Floats, Indices
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimality.cycles import (
+    LONG,
     AmbiguousCycles,
     Cycle,
+    cut_edges,
     relative_to_mean,
-    rotated,
     rotating_nodes,
+    shifted,
 )
 from masat.optimality.relaxation import Relaxation, lift
-from masat.optimality.subgraphs import Subgraph, connected_parts, neighborhood, subgraph
+from masat.optimality.strings import Strings
+from masat.optimality.subgraphs import (
+    Subgraph,
+    connected_parts,
+    neighborhood,
+    subgraph,
+    without_edges,
+)
 from masat.optimizers import Iteration, Result, optimize
 from masat.optimizers.equations import normal_equations
 from masat.optimizers.translations import solve_translations
@@ -37,9 +47,18 @@ _NEARLY = 5.0
 _HOPELESS_STEPS = 40
 # Radians and meters: residuals and coordinates that changed by less are the same as before.
 _SAME_POSE = 0.01
+# A residual that changed by a smaller fraction of itself is the same as before.
+_SAME_RESIDUAL = 0.02
 # Cycles tried at the most: the first divided by the number of nodes, but at least the second.
 _CYCLE_WORK, _MIN_CYCLES = 1_000_000, 10
+# Edges from the ends of a string within which nodes are free; strings that may fail one after the
+# other; and how near to a minimum the next strings are sought.
+_STRING_REACH, _MAX_FAILURES, _STRING_TOLERANCE = 6, 40, 1e-5
+# Strings after which chi2 that is nearly as low is optimized no further.
+_FIRST = 10
 _MAX_ROUNDS = 20
+# Bytes of a factor up to which all nodes are lifted at once: some seconds on one core.
+_MAX_LIFTED_BYTES = 3e8
 # Iterations of Gauss-Newton to the exact minimum, and of the safer and slower dogleg.
 _FINAL_ITERATIONS, _FINAL_DOGLEG_ITERATIONS = 4, 100
 
@@ -52,6 +71,7 @@ def lower_minimum(
     seed: int = 0,
     progress: Progress | None = None,
     equations: _core.NormalEquations | None = None,
+    lift_all: bool = False,
 ) -> Result:
     """Search for a lower minimum around the parts of the graph where this one is doubtful.
 
@@ -71,6 +91,8 @@ def lower_minimum(
         What reports the stages and limits the time.
     equations : NormalEquations, optional
         Those of the graph, to be used again.
+    lift_all : bool
+        Whether all nodes are lifted even if no ambiguous cycle rotates most of them.
 
     Returns
     -------
@@ -87,7 +109,9 @@ def lower_minimum(
     search = _Search(graph, seed, progress, equations)
     try:
         for _ in range(_MAX_ROUNDS):
-            if progress.over or not (search.at_uncertified_nodes() or search.at_cycles()):
+            lower = graph.dimension == 3 and search.at_strings()
+            lower = lower or search.at_uncertified_nodes() or search.at_cycles()
+            if progress.over or not (lower or search.at_all_nodes(lift_all)):
                 break
             search.converge()
     except KeyboardInterrupt:
@@ -122,8 +146,10 @@ class _Search:
         # What counts as one in chi2: less where the information promises less than it keeps.
         self._unit = min(1.0, first.reduced_chi2 or 1.0)
         self._relaxation = Relaxation(graph)
-        self._cycles = AmbiguousCycles(graph, self._unit)
-        self._refused: dict[int, float] = {}
+        self._cycles = AmbiguousCycles(graph)
+        self._strings = Strings(graph)
+        self._most_rotate = False
+        self._refused: dict[tuple[tuple[int, float], ...], Floats] = {}
         self._cycles_left = max(_MIN_CYCLES, _CYCLE_WORK // len(graph.ids))
         gauge = graph.index(graph.gauge)
         labels = graph.components
@@ -152,31 +178,90 @@ class _Search:
         return sum(self._try(part, self._lift) for part in parts) > 0
 
     def at_cycles(self) -> bool:
-        """Lift the ambiguous cycles, and shift them by 2 pi; return whether that lowered chi2."""
-        lowered = most_lifted = False
-        for cycle in self._cycles.at(self.poses):
-            if abs(cycle.residual - self._refused.get(cycle.edge, np.inf)) < _SAME_POSE:
+        """Shift the ambiguous cycles by 2 pi; return whether that lowered chi2."""
+        cycles = list(islice(self._cycles.at(self.poses), self._cycles_left))
+        long = [cycle for cycle in cycles if len(cycle.edges) >= LONG]
+        moves = [[(cycle, 0.0)] for cycle in long]
+        moves += [[(cycle, -1.0)] for cycle in cycles] + [[(cycle, 1.0)] for cycle in long]
+        for one, other in self._cycles.pairs(cycles):
+            moves.append([(one, -1.0), (other, -1.0)])
+            if len(one.edges) >= LONG and len(other.edges) >= LONG:
+                moves += [[(one, -1.0), (other, 1.0)], [(one, 1.0), (other, -1.0)]]
+        half = len(self.poses) / 2
+        self._most_rotate = any(
+            np.count_nonzero(rotating_nodes(self._relative(c))) > half for c in cycles
+        )
+        changed: set[int] = set()
+        for shifts in moves:
+            edges = {cycle.edge for cycle, _ in shifts}
+            key = tuple((cycle.edge, sign) for cycle, sign in shifts)
+            signed = np.concatenate([np.atleast_1d(c.residual * c.axis) for c, _ in shifts])
+            refused = self._refused.get(key)
+            same = refused is not None and np.allclose(signed, refused, rtol=_SAME_RESIDUAL)
+            if same or edges & changed:
                 continue
             if self._cycles_left == 0 or self._progress.over:
                 break
             self._cycles_left -= 1
             self._progress.tell("searching around an ambiguous cycle", self.chi2)
-            rotations = self._relative(cycle)
-            nodes = rotating_nodes(rotations)
-            trials: list[tuple[Flags, Trial]] = [
-                (neighborhood(self._graph, nodes), partial(self._shift, axis, rotations))
-                for axis in (cycle.axis, -cycle.axis)
-            ]
-            most = bool(2 * np.count_nonzero(nodes) > len(nodes))
-            # A second lift of most nodes would find the same.
-            if not (most and most_lifted):
-                trials.insert(0, (neighborhood(self._graph, nodes, _CYCLE_REACH), self._lift))
-            most_lifted |= most
-            lower = any(self._try(where, trial) for where, trial in trials)
-            lowered |= lower
-            if not lower:
-                self._refused[cycle.edge] = cycle.residual
-        return lowered
+            nodes = np.zeros(len(self.poses), np.bool_)
+            for cycle, _ in shifts:
+                nodes |= rotating_nodes(self._relative(cycle))
+                if len(cycle.edges) >= LONG:
+                    nodes |= cycle.nodes
+            where = neighborhood(self._graph, nodes)
+            cuts = [None, *(cut_edges(shifts[0][0]) if shifts[0][1] == 0 else ())]
+            own = np.array([cycle.edge for cycle, _ in shifts])
+            by = np.array([2 * np.pi * sign * cycle.axis for cycle, sign in shifts])
+            trials: list[Trial] = [partial(self._shift, own, by, cut) for cut in cuts]
+            if self._graph.dimension == 3:
+                trials.append(self._lift)
+            if any(self._try(where, trial) for trial in trials):
+                changed |= edges
+            else:
+                self._refused[key] = signed
+        return len(changed) > 0
+
+    def at_strings(self) -> bool:
+        """Shift strings of edges; return whether that lowered chi2."""
+        first = self.chi2
+        refused: set[tuple[int, ...]] = set()
+        failures = 0
+        while not self._progress.over and failures < _MAX_FAILURES:
+            for string in self._strings.at(self.poses):
+                key = tuple(sorted(string.edges.tolist()))
+                if key in refused:
+                    continue
+                self._progress.tell("searching along a string of edges", self.chi2)
+                ends = np.zeros(len(self.poses), np.bool_)
+                ends[self._graph.edge_indices[string.edges]] = True
+                where = neighborhood(self._graph, ends, _STRING_REACH)
+                trial = partial(self._shift, string.edges, string.vectors, None)
+                if self._try(where, trial, nearly=_NEARLY if failures < _FIRST else 0.0):
+                    near = self._minimum(self.poses, tolerance=_STRING_TOLERANCE)
+                    self.poses, self.chi2 = near.poses, near.chi2
+                    failures = 0
+                    break
+                refused.add(key)
+                failures += 1
+                if failures == _MAX_FAILURES:
+                    break
+            else:
+                break
+        return self.chi2 < first * (1 - LOWER)
+
+    def at_all_nodes(self, always: bool) -> bool:
+        """Lift all nodes where that may help and memory allows it; return whether it lowered chi2.
+
+        Parts of the graph that are each at their own minimum may be wrong together.
+        """
+        small = self._relaxation.lifted_bytes() <= _MAX_LIFTED_BYTES
+        if not small or not (always or self._most_rotate) or self._progress.over:
+            return False
+        self._progress.tell("lifting all nodes", self.chi2)
+        nodes = np.ones(len(self.poses), np.bool_)
+        nodes[self._graph.index(self._graph.gauge)] = False
+        return self._try(nodes, self._lift)
 
     def _relative(self, cycle: Cycle) -> Floats:
         """Return the rotations of a cycle's nodes; few of them if only the gauge is fixed."""
@@ -197,21 +282,28 @@ class _Search:
             key=lambda result: result.chi2,
         )
 
-    def _shift(self, axis: Floats, rotations: Floats, part: Subgraph) -> Result:
+    def _shift(
+        self, shifted_edges: Indices, vectors: Floats, cut: int | None, part: Subgraph
+    ) -> Result:
+        """Spread residuals and shifts anew, the positions first without an edge that is cut."""
         graph, inside = part
-        assert graph.poses is not None
-        angles = np.where(inside, rotations[graph.ids], 0.0)
-        initial = rotated(graph.poses, axis, angles)
+        nodes = np.zeros(len(self.poses), np.bool_)
+        nodes[graph.ids[inside]] = True
+        edges = self._graph.topology.incident_edges(nodes)
+        by = np.zeros((len(edges), vectors.shape[1]))
+        by[np.searchsorted(edges, shifted_edges)] = vectors
+        turned = shifted(graph, by)
+        loose = graph if cut is None else without_edges(graph, edges == cut)
         nearly = _NEARLY * self._unit
         return optimize(
-            graph.with_poses(solve_translations(graph, initial)),
+            graph.with_poses(solve_translations(loose, turned)),
             "dogleg",
             max_iterations=30,
             absolute_tolerance=nearly / 500,
             report=_StopIfHopeless(graph.chi2 + nearly),
         )
 
-    def _try(self, nodes: Flags, trial: Trial) -> bool:
+    def _try(self, nodes: Flags, trial: Trial, nearly: float = _NEARLY) -> bool:
         """Keep what a trial makes of some nodes if it lowers chi2; return whether it does."""
         graph, before = self._graph, self.poses
         nodes = nodes.copy()
@@ -234,7 +326,7 @@ class _Search:
         self._put_back(poses, nodes)
         chi2 = self.chi2 + result.chi2 - part.graph.chi2
         lower = self.chi2 * (1 - LOWER)
-        if lower <= chi2 < self.chi2 + _NEARLY * self._unit:
+        if lower <= chi2 < self.chi2 + nearly * self._unit:
             # Nearly as low: with all nodes free it may become lower.
             free = self._minimum(poses, _StopIfHopeless(lower, chi2))
             poses, chi2 = free.poses, free.chi2
@@ -252,12 +344,14 @@ class _Search:
             poses[own] = lie.compose(back, poses[own])
             poses[k] = self.poses[k]
 
-    def _minimum(self, poses: Floats, report: _StopIfHopeless | None = None) -> Result:
+    def _minimum(
+        self, poses: Floats, report: _StopIfHopeless | None = None, tolerance: float = NEAR
+    ) -> Result:
         """Return the minimum that an optimizer finds from some poses."""
         return optimize(
             self._graph.with_poses(poses),
             "dogleg",
-            relative_tolerance=NEAR,
+            relative_tolerance=tolerance,
             max_iterations=50,
             report=report,
             equations=self._equations,
@@ -266,12 +360,18 @@ class _Search:
 
 
 class _StopIfHopeless:
-    """Stops an optimizer where many more steps like the last would not bring chi2 low enough."""
+    """Stops an optimizer where many more steps like the last would not bring chi2 low enough.
+
+    A step may gain less than it could while the region of trust adapts: half of what was expected
+    before the step counts in its place.
+    """
 
     def __init__(self, low_enough: float, chi2: float = np.inf) -> None:
-        self._low_enough, self._last = low_enough, chi2
+        self._low_enough, self._last, self._expected = low_enough, chi2, 0.0
 
     def __call__(self, step: Iteration) -> bool:
         """Return whether to stop after an iteration."""
+        missing = step.chi2 - self._low_enough
         gained, self._last = self._last - step.chi2, step.chi2
-        return step.chi2 - self._low_enough > _HOPELESS_STEPS * gained
+        self._expected = max(min(gained, missing), self._expected / 2)
+        return missing > _HOPELESS_STEPS * self._expected

@@ -57,6 +57,23 @@ def subgraph(graph: PoseGraph, poses: Floats, inside: Flags) -> Subgraph:
     )
 
 
+def without_edges(graph: PoseGraph, edges: Flags) -> PoseGraph:
+    """Return the graph without some edges, (m,), and with all its nodes."""
+    kept = np.flatnonzero(~edges)
+    more: dict[str, Any] = {}
+    if graph.sensor_offsets is not None:
+        more["offsets"] = np.ascontiguousarray(graph.sensor_offsets[kept])
+    return type(graph)(
+        ids=graph.ids,
+        poses=graph.poses,
+        edges=graph.edges[kept],
+        measurements=graph.measurements[kept],
+        information=graph.information[kept],
+        fixed=graph.fixed,
+        **more,
+    )
+
+
 def connected_parts(graph: PoseGraph, nodes: Flags) -> Iterator[Flags]:
     """Yield the parts of some nodes, (n,) each, that edges among them connect."""
     edges = graph.topology.incident_edges(nodes)
