@@ -72,7 +72,8 @@ def cost(names: list[str]) -> None:
             graph = quietly_read(DATA / name)
             alone = masat.solve(graph)
             plain, fixed = Path(folder) / "plain.g2o", Path(folder) / "fixed.g2o"
-            masat.write(graph, plain)
+            # The same poses, so that both files have as many digits.
+            masat.write(alone.graph, plain)
             masat.write(with_fixes(alone, motion(0, graph.dimension)), fixed)
             took = medians(
                 {
