@@ -53,9 +53,10 @@ def are_plain(edges: Any, measurements: Any, information: Any, dimension: int) -
         and measurements.dtype == information.dtype == np.float64
         and measurements.shape == (m, lie.POSE_SIZE[dimension])
         and information.shape == (m, dof, dof)
-        and edges.flags.c_contiguous
-        and measurements.flags.c_contiguous
-        and information.flags.c_contiguous
+        and all(
+            array.flags.c_contiguous and array.flags.aligned
+            for array in (edges, measurements, information)
+        )
     )
 
 

@@ -353,10 +353,11 @@ class Arrivals:
     def _predicted(self, rows: Ids, core: _core.OnlineMap, needed: float | None = None) -> Flags:
         """Predict closures from the map, and return which are likely enough to be true."""
         chosen = self._rows[rows]
+        # Rows of a table are not aligned: the core takes copies.
         distance, log_determinant = core.predict(
-            np.ascontiguousarray(chosen["ends"]),
-            np.ascontiguousarray(chosen["measurement"]),
-            np.ascontiguousarray(chosen["information"]),
+            np.array(chosen["ends"]),
+            np.array(chosen["measurement"]),
+            np.array(chosen["information"]),
         )
         ratio = self._log_volume(core) - (distance + log_determinant) / 2
         if needed is None:

@@ -86,8 +86,7 @@ class Steps:
         believed = arrivals.judge(self._core)
         if len(believed):
             number, ids, z, w = (
-                np.ascontiguousarray(believed[name])
-                for name in ("number", "ids", "measurement", "information")
+                np.array(believed[name]) for name in ("number", "ids", "measurement", "information")
             )
             self._core.add_edges(ids, z, w, number)
             try:

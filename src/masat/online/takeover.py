@@ -62,7 +62,7 @@ def outcome_of(
     for name, field in PRIORS.items():
         left_out[field] = contents[name][~stays]
         contents[name] = np.ascontiguousarray(contents[name][stays])
-    left_out["node"] = core.find_all(np.ascontiguousarray(left_out["id"]))
+    left_out["node"] = core.find_all(np.array(left_out["id"]))
     return _with_poses(contents, found), arrivals, waiting.with_rejected(left_out)
 
 

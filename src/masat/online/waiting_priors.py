@@ -143,10 +143,10 @@ class WaitingPriors:
         rows, self._rows = self._rows[released], self._rows[~released]
         if len(rows):
             core.add_priors(
-                np.ascontiguousarray(rows["node"]),
-                np.ascontiguousarray(rows["measurement"]),
-                np.ascontiguousarray(rows["information"]),
-                np.ascontiguousarray(rows["number"]),
+                np.array(rows["node"]),
+                np.array(rows["measurement"]),
+                np.array(rows["information"]),
+                np.array(rows["number"]),
             )
         return len(rows) > 0
 
@@ -180,8 +180,8 @@ def _motion(poses: Floats, rows: AnyArray) -> Floats | None:
     ).with_priors(
         Priors(
             own.astype(np.int64),
-            np.ascontiguousarray(rows["measurement"]),
-            np.ascontiguousarray(rows["information"]),
+            np.array(rows["measurement"]),
+            np.array(rows["information"]),
         )
     )
     placed, _, undetermined = placed_assembly(assemble(part), odometry)
