@@ -5,7 +5,7 @@ import pytest
 from random_graphs import random_graph, random_poses
 
 import masat
-from masat import GraphError, InformationError, OnlineMap, OptimizationError, lie
+from masat import GraphError, InformationError, OnlineMap, OptimizationError, lie, worlds
 
 SQUARE = [((k, (k + 1) % 4), (1, 0, 1.6)) for k in range(4)]
 
@@ -542,3 +542,27 @@ def test_huge_numbers_leave_a_finite_map(size, scale):
         assert np.isfinite(world.poses).all()
         assert np.isfinite(done.chi2)
         assert np.isfinite(world.chi2)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_what_was_negligible_beside_a_large_chi2_is_solved_when_it_has_fallen(dimension):
+    world = worlds.manhattan(200, seed=1) if dimension == 2 else worlds.grid(125)
+    graph = worlds.perturb(world, (0.05, 0.05, 0.02) if dimension == 2 else (0.05, 0.02), seed=1)
+    far = (300.0, 0, 0) if dimension == 2 else (300.0, 0, 0, 0, 0, 0, 1)
+    growing = OnlineMap(dimension)
+    newer = graph.edges.max(axis=1)
+    for node in graph.ids.tolist():
+        growing.add_pose(node)
+        rows = np.flatnonzero(newer == node)
+        if len(rows):
+            growing.add_edges(graph.edges[rows], graph.measurements[rows], graph.information[rows])
+        growing.update(0.0)
+    numbers = growing.add_edges((0, 9), far)
+    growing.update(0.0)
+    growing.remove_edges(numbers)
+    growing.update(0.0)
+    done = growing.update()
+    best = batch(growing.graph()).chi2
+    assert done.complete
+    assert growing.chi2 == pytest.approx(best, rel=1e-3)
+    assert done.chi2 == pytest.approx(growing.chi2, rel=1e-2)

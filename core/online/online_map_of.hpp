@@ -130,6 +130,7 @@ class OnlineMapOf final : public OnlineMap {
   void release_root(std::int32_t root);
   void resize();
   void solve(double cost, StepSummary& summary);
+  void solve_all(StepSummary& summary);
   void settle(Clock::time_point deadline, bool limited, StepSummary& summary);
   void reorder_if_worthwhile(StepSummary& summary);
   void evaluate();
@@ -143,6 +144,7 @@ class OnlineMapOf final : public OnlineMap {
 
   double tolerance_;
   double tested_fill_ = 1e5;  // of the factor at the last test of its order, in scalars
+  double coarsest_ = 0;       // the largest cost that thresholds referred to since all was solved
   Graph graph_;
   GrowingFactor<Group> factor_;
   BackSubstitution<Group> back_;

@@ -187,6 +187,7 @@ void OnlineMapOf<Group>::solve(double cost, StepSummary& summary) {
   // Motion by less than this part of the mean chi2 of an edge changes no residual much.
   constexpr double kNotEvaluated = 0.1;
   ++summary.passes;
+  coarsest_ = std::max(coarsest_, cost);
   factor_.drop(graph_);
   const auto edges = static_cast<double>(std::max<std::int64_t>(graph_.edge_count(), 1));
   relinearization_.choose_dropped(graph_, factor_, tolerance_ * cost / 4 / edges);
@@ -235,6 +236,8 @@ void OnlineMapOf<Group>::settle(Clock::time_point deadline, bool limited, StepSu
   constexpr double kLeastTolerance = 1e-18;
   // Edges that are chosen in one pass where time is limited: some tenths of a millisecond.
   constexpr std::size_t kMostChosen = 50;
+  // Where chi2 has fallen to this part, what was negligible before may not be so any more.
+  constexpr double kFallen = 2;
   bool retried = false;
   for (;;) {
     const double cost = reference(graph_.chi2());
@@ -245,6 +248,11 @@ void OnlineMapOf<Group>::settle(Clock::time_point deadline, bool limited, StepSu
     // At a pose of their own, damped nodes may do without the damping.
     if (!retried) {
       for (const std::int32_t node : factor_.damped()) relinearization_.add(graph_, node);
+    }
+    if (relinearization_.chosen().empty() && coarsest_ > kFallen * cost &&
+        summary.passes < kMostPasses) {
+      solve_all(summary);
+      continue;
     }
     if (relinearization_.chosen().empty()) {
       summary.complete = factor_.damped().empty();
@@ -274,10 +282,20 @@ void OnlineMapOf<Group>::reorder_if_worthwhile(StepSummary& summary) {
   if (static_cast<double>(factor_.fill()) < kGrowth * tested_fill_) return;
   const auto fresh = static_cast<double>(factor_.fill_of_fresh_order(graph_));
   if (static_cast<double>(factor_.fill()) > kGrowth * fresh) {
-    for (std::int32_t i = 0; i < graph_.size(); ++i) factor_.touch(i);
-    solve(reference(graph_.chi2()), summary);
+    solve_all(summary);
   }
   tested_fill_ = static_cast<double>(factor_.fill());
+}
+
+// Orders, factorizes and solves everything, and evaluates all edges.
+template <LieGroup Group>
+void OnlineMapOf<Group>::solve_all(StepSummary& summary) {
+  for (std::int32_t i = 0; i < graph_.size(); ++i) factor_.touch(i);
+  coarsest_ = 0;
+  solve(reference(graph_.chi2()), summary);
+  for (std::int32_t slot = 0; slot < graph_.edge_slots(); ++slot) {
+    if (graph_.edge(slot).from >= 0) graph_.evaluate(slot);
+  }
 }
 
 // The cost to which the tolerance refers: chi2, or a little where measurements agree exactly.
