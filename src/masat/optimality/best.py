@@ -11,7 +11,7 @@ from masat.assembly import AssembledGraph
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimality.bounds import looks_global
-from masat.optimality.cycles import AmbiguousCycles
+from masat.optimality.cycles import AmbiguousCycles, rotation_residuals, rotation_weight
 from masat.optimality.relaxation import Relaxation
 from masat.optimality.search import lower_minimum
 from masat.optimizers import Iteration, Result, optimize
@@ -29,6 +29,10 @@ _PATIENCE, _STRICTNESS = 3, 10.0
 # Operations of a factorization above which not even these iterations are made: some seconds on one
 # core. On public graphs and simulated worlds the chordal guess itself is good enough for the test.
 _EXPENSIVE = 1e10
+# No ambiguous cycles are sought, which takes as long as the chordal certificate, where rotation
+# residuals are below this, in radians, and the graph is either well connected (edges over nodes) or
+# all its edges together turn by less than this standard deviation: a long loop has small residuals.
+_SMALL_ROTATION, _WELL_CONNECTED, _SMALL_DRIFT = 0.1, 1.3, 1.0
 
 
 class Minimum(NamedTuple):
@@ -142,9 +146,21 @@ def _is_plausible(near: Result) -> bool:
     Either no cycle is ambiguous and the chordal certificate fails by little, or that of chi2 holds.
     """
     plausible = Relaxation(near.graph).plausible(near.poses)
-    if plausible and len(AmbiguousCycles(near.graph).edges(near.poses)) == 0:
+    if plausible and not _may_be_ambiguous(near):
         return True
     return looks_global(near.graph, near.chi2)
+
+
+def _may_be_ambiguous(near: Result) -> bool:
+    """Whether a cycle may close with another multiple of 2 pi; cheap where rotations fit well."""
+    graph = near.graph
+    angles = rotation_residuals(graph, near.poses)[0]
+    measured = graph.information[:, graph.dimension, graph.dimension] > 0
+    if angles[measured].max(initial=0.0) < _SMALL_ROTATION:
+        drift = float((1 / rotation_weight(graph)[measured]).sum()) ** 0.5
+        if len(graph.edges) > _WELL_CONNECTED * len(graph.ids) or drift < _SMALL_DRIFT:
+            return False
+    return len(AmbiguousCycles(near.graph).edges(near.poses)) > 0
 
 
 def _first_minimum(
