@@ -24,7 +24,7 @@ apt=(apt-get -q -o APT::Architecture=arm64 -o APT::Architectures=arm64 -o Dir::S
 "${apt[@]}" update
 "${apt[@]}" install -y --no-install-recommends --download-only python3.11 libstdc++6
 for package in "$work"/cache/archives/*.deb; do
-  dpkg-deb -x "$package" "$work/root"
+  dpkg-deb -x "$package" "$work/system"
 done
 
 "$work/tools/bin/pip" install -q --upgrade --target "$work/site" --python-version 3.11 \
@@ -32,5 +32,5 @@ done
   numpy click rich matplotlib pooch "pytest>=8" "pytest-xdist>=3.6" "hypothesis>=6.100"
 "$work/tools/bin/python" -m zipfile -e "$work"/wheel/*aarch64.whl "$work/site"
 
-PYTHONPATH=$work/site OPENBLAS_NUM_THREADS=1 qemu-aarch64 -L "$work/root" \
-  "$work/root/usr/bin/python3.11" -m pytest -q -p no:cacheprovider "$@"
+PYTHONPATH=$work/site OPENBLAS_NUM_THREADS=1 qemu-aarch64 -L "$work/system" \
+  "$work/system/usr/bin/python3.11" -m pytest -q -p no:cacheprovider "$@"
