@@ -32,6 +32,22 @@ def circles(world, count, *, spoil=()):
     return numbers
 
 
+def drifted():
+    """A map after 60 steps of bad odometry, with 28 false closures, and the information of all."""
+    world = OnlineMap(2, robust=True)
+    loose = np.diag([8.0, 8.0, 800.0])
+    for k in range(61):
+        world.add_pose(k)
+        if k > 0:
+            world.add_edges((k - 1, k), (1, 0, np.pi / 30), loose)
+        world.update()
+    # The more false ones there are, the more likely one fits by chance.
+    for k in range(2, 30):
+        world.add_edges((k, k + 2), (30, 30, 2), loose)
+    world.update()
+    return world, loose
+
+
 def spoiled(world, kind, fraction=0.5, *, seed=0):
     clean = masat.optimize(worlds.perturb(world, _sigmas(world), seed=seed))
     clean = worlds.normalized(clean.graph)
@@ -117,18 +133,7 @@ def test_odometry_can_be_doubted_and_what_joins_two_parts_waits():
 
 
 def test_two_closures_that_agree_convince_where_one_alone_does_not():
-    # After 60 steps of bad odometry both ends may be anywhere.
-    world = OnlineMap(2, robust=True)
-    loose = np.diag([8.0, 8.0, 800.0])
-    for k in range(61):
-        world.add_pose(k)
-        if k > 0:
-            world.add_edges((k - 1, k), (1, 0, np.pi / 30), loose)
-        world.update()
-    # The more false ones there are, the more likely one fits by chance.
-    for k in range(2, 30):
-        world.add_edges((k, k + 2), (30, 30, 2), loose)
-    world.update()
+    world, loose = drifted()
     false = world.rejected.tolist()
     assert len(false) == 28
     first = world.add_edges((0, 60), (0.8, -0.6, 0.1), loose)
@@ -407,15 +412,7 @@ def test_a_front_end_may_use_its_arrays_again():
 
 
 def test_the_same_closure_twice_does_not_support_itself():
-    world = OnlineMap(2, robust=True)
-    loose = np.diag([8.0, 8.0, 800.0])
-    for k in range(61):
-        world.add_pose(k)
-        if k > 0:
-            world.add_edges((k - 1, k), (1, 0, np.pi / 30), loose)
-    for k in range(2, 30):
-        world.add_edges((k, k + 2), (30, 30, 2), loose)
-    world.update()
+    world, loose = drifted()
     for _ in range(2):
         world.add_edges((0, 60), (0.8, -0.6, 0.1), loose)
         world.update()
