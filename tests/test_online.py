@@ -548,7 +548,7 @@ def test_huge_numbers_leave_a_finite_map(size, scale):
 def test_what_was_negligible_beside_a_large_chi2_is_solved_when_it_has_fallen(dimension, when):
     world = worlds.manhattan(200, seed=1) if dimension == 2 else worlds.grid(125)
     graph = worlds.perturb(world, (0.05, 0.05, 0.02) if dimension == 2 else (0.05, 0.02), seed=1)
-    far = (300.0, 0, 0) if dimension == 2 else (300.0, 0, 0, 0, 0, 0, 1)
+    far = (40.0, 0, 0) if dimension == 2 else (300.0, 0, 0, 0, 0, 0, 1)
     growing, numbers = OnlineMap(dimension), None
     newer = graph.edges.max(axis=1)
     for node in graph.ids.tolist():
