@@ -5,18 +5,25 @@
 
 #include "sparse/multifrontal.hpp"
 #include "sparse/selected_inverse.hpp"
+#include "sparse/substitution.hpp"
 
 namespace masat {
+namespace {
+
+// Whose rows a task brings into another order: some microseconds of work.
+constexpr std::int64_t kNodesPerTask = 2048;
+
+}  // namespace
 
 struct BlockCholesky::Impl {
-  Impl(const Elimination& elimination, int d, int threads)
+  Impl(const Elimination& elimination, int d, WorkerPool& pool)
       : layout(elimination.layout(d)),
-        factor(layout, kernels(), threads),
-        permuted(elimination.free_nodes().size() * d) {}
+        factor(layout, kernels(), pool),
+        substitution(layout, kernels(), pool) {}
 
   const FrontLayout& layout;
   Multifrontal factor;
-  std::vector<double> permuted;
+  Substitution substitution;
   bool factorized = false;
 
   const Multifrontal& checked() const {
@@ -25,8 +32,8 @@ struct BlockCholesky::Impl {
   }
 };
 
-BlockCholesky::BlockCholesky(const Elimination& elimination, int block_size, int threads) {
-  impl_ = std::make_unique<Impl>(elimination, block_size, threads);
+BlockCholesky::BlockCholesky(const Elimination& elimination, int block_size, WorkerPool& pool) {
+  impl_ = std::make_unique<Impl>(elimination, block_size, pool);
 }
 BlockCholesky::~BlockCholesky() = default;
 
@@ -57,25 +64,30 @@ double BlockCholesky::pivot_ratio() const { return impl_->checked().pivot_ratio(
 void BlockCholesky::solve(std::span<double> rhs, int columns) const {
   const Multifrontal& factor = impl_->checked();
   const std::vector<std::int32_t>& order = impl_->layout.tree().order;
-  std::vector<double>& permuted = impl_->permuted;
   const int d = impl_->layout.block_size(), width = columns == 1 ? 1 : kernels().width;
   // Groups of `width` columns; the last group is filled up with zeros.
-  permuted.resize(order.size() * d * ((columns + width - 1) / width * width));
-  if (columns % width != 0) std::fill(permuted.begin(), permuted.end(), 0.0);
+  Substitution& substitution = impl_->substitution;
+  substitution.reserve(width, (columns + width - 1) / width);
+  WorkerPool& pool = factor.pool();
+  const WorkerPool::Session session(pool);
+  const auto nodes = static_cast<std::int64_t>(order.size());
   const auto exchange = [&](auto copy) {
-    double* packed = permuted.data();
     for (int first = 0; first < columns; first += width) {
       const int count = std::min(width, columns - first);
-      for (const std::int32_t node : order) {
-        double* own = rhs.data() + std::int64_t{node} * d * columns + first;
-        for (int i = 0; i < d; ++i, own += columns, packed += width) {
-          for (int c = 0; c < count; ++c) copy(own[c], packed[c]);
+      double* const group = substitution.group(first / width);
+      pool.for_chunks(nodes, kNodesPerTask, [&](std::int64_t begin, std::int64_t end) {
+        double* packed = group + begin * d * width;
+        for (std::int64_t k = begin; k < end; ++k) {
+          double* own = rhs.data() + std::int64_t{order[k]} * d * columns + first;
+          for (int i = 0; i < d; ++i, own += columns, packed += width) {
+            for (int c = 0; c < count; ++c) copy(own[c], packed[c]);
+          }
         }
-      }
+      });
     }
   };
   exchange([](double& own, double& packed) { packed = own; });
-  factor.solve(permuted, width);
+  substitution.solve(factor);
   exchange([](double& own, double& packed) { own = packed; });
 }
 

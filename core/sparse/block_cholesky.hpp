@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "sparse/elimination.hpp"
+#include "sparse/worker_pool.hpp"
 
 namespace masat {
 
@@ -21,9 +22,9 @@ struct NotFactorized : std::logic_error {
 
 class BlockCholesky {
  public:
-  // Blocks have 1 to 10 rows. Results do not depend on the number of threads. The elimination must
-  // outlive this object.
-  BlockCholesky(const Elimination& elimination, int block_size, int threads = 1);
+  // Blocks have 1 to 10 rows. Results do not depend on the number of threads. The elimination and
+  // the pool must outlive this object.
+  BlockCholesky(const Elimination& elimination, int block_size, WorkerPool& pool);
   ~BlockCholesky();
 
   // Factorizes the matrix with the blocks `values`, each column-major, in the order of the pattern,

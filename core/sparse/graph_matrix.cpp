@@ -1,11 +1,24 @@
 #include "sparse/graph_matrix.hpp"
 
+#include <algorithm>
+#include <thread>
 #include <utility>
 
 #include "sparse/block_size.hpp"
 
 namespace masat {
 namespace {
+
+// A thread for so many nodes can find work in a matrix that has much fill-in.
+constexpr int kNodesPerThread = 64;
+// Blocks that a task sets to zero, or whose diagonal it reads: some microseconds of work.
+constexpr std::int64_t kBlocksPerTask = 4096;
+
+// The numbers do not depend on the threads: more than can work only take memory.
+int limit_threads(int asked, std::int32_t nodes) {
+  const int most = std::max<int>(std::thread::hardware_concurrency(), 64);
+  return std::clamp(asked, 1, std::min(most, 1 + nodes / kNodesPerThread));
+}
 
 // out += h v, or h' v, of d x d and d x columns.
 template <int kSize, bool kTransposed>
@@ -40,8 +53,17 @@ GraphMatrix::GraphMatrix(std::shared_ptr<const Elimination> elimination, int blo
                          int threads)
     : elimination_(std::move(elimination)),
       d_(block_size),
-      threads_(threads),
-      values_(elimination_->pattern().row.size() * block_size * block_size) {}
+      values_(elimination_->pattern().row.size() * block_size * block_size),
+      pool_(std::make_unique<WorkerPool>(
+          limit_threads(threads, elimination_->pattern().columns()))) {}
+
+void GraphMatrix::set_zero() {
+  const WorkerPool::Session session(*pool_);
+  const auto size = static_cast<std::int64_t>(values_.size());
+  pool_->for_chunks(size, kBlocksPerTask * d_ * d_, [&](std::int64_t begin, std::int64_t end) {
+    std::fill(values_.begin() + begin, values_.begin() + end, 0.0);
+  });
+}
 
 void GraphMatrix::add_edge(const Topology& graph, std::int64_t edge, const double* first,
                            const double* joint, const double* second, const double* values,
@@ -75,10 +97,14 @@ void GraphMatrix::add_edge(const Topology& graph, std::int64_t edge, const doubl
 }
 
 void GraphMatrix::diagonal(double* out) const {
-  for (std::int32_t c = 0; c < pattern().columns(); ++c) {
-    const double* const values = values_.data() + pattern().start[c] * d_ * d_;
-    for (int i = 0; i < d_; ++i) *out++ = values[i * (d_ + 1)];
-  }
+  const WorkerPool::Session session(*pool_);
+  pool_->for_chunks(
+      pattern().columns(), kBlocksPerTask, [&](std::int64_t begin, std::int64_t end) {
+        for (std::int64_t c = begin; c < end; ++c) {
+          const double* const values = block(pattern().start[c]);
+          for (int i = 0; i < d_; ++i) out[c * d_ + i] = values[i * (d_ + 1)];
+        }
+      });
 }
 
 void GraphMatrix::multiply(const double* v, int columns, double* out) const {

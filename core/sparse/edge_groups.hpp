@@ -1,0 +1,43 @@
+// Edges in groups whose parts of a matrix several threads can add at the same time.
+#pragma once
+
+#include <cstdint>
+#include <limits>
+#include <span>
+#include <vector>
+
+#include "graph/topology.hpp"
+#include "sparse/elimination.hpp"
+
+namespace masat {
+
+// Groups have about as many edges. Each owns the nodes of a range of the elimination order, whose
+// neighbors are mostly in the same range. An edge belongs to the group of its end that is
+// eliminated first, so no other group has the block of its two nodes. What it adds to its other
+// end, if that is of another group, goes to a cell, and from there to the node after all groups.
+// The groups do not depend on the threads, so that sums always have the same order.
+struct EdgeGroups {
+  // Where an edge adds its parts.
+  struct Entry {
+    std::int32_t edge;
+    std::int32_t from, to;  // index of the free node, kFixed, or ~ that of a cell
+    std::int32_t joint;     // block of the pattern, ~ that if its rows are those of `from`
+  };
+  static constexpr std::int32_t kFixed = std::numeric_limits<std::int32_t>::min();
+
+  // `work` is the number of scalars in a block: edges take time in proportion to it.
+  EdgeGroups(const Elimination& elimination, std::span<const Edge> edges, int work);
+
+  std::int32_t count() const { return static_cast<std::int32_t>(entry_start.size()) - 1; }
+  std::span<const Entry> entries_of(std::int32_t group) const {
+    return {entries.data() + entry_start[group], entries.data() + entry_start[group + 1]};
+  }
+
+  std::vector<std::int64_t> entry_start;
+  std::vector<Entry> entries;
+  // The node to which each cell belongs, by group; of a group and node in the order of the entries.
+  std::vector<std::int64_t> cell_start;
+  std::vector<std::int32_t> cell_node;
+};
+
+}  // namespace masat
