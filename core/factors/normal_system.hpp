@@ -9,7 +9,6 @@
 #include <vector>
 
 #include "graph/topology.hpp"
-#include "sparse/aligned_buffer.hpp"
 #include "sparse/edge_groups.hpp"
 #include "sparse/graph_matrix.hpp"
 
@@ -27,12 +26,16 @@ class NormalSystem {
   NormalSystem(GraphMatrix& matrix, std::span<const Edge> edges)
       : matrix_(matrix),
         groups_(*matrix.elimination(), edges, kBlock * kBlock),
-        rhs_(matrix.rows()),
-        cells_(kCell * static_cast<std::int64_t>(groups_.cell_node.size())),
-        costs_(groups_.count()) {}
+        rhs_(groups_.block.size() * kBlock),
+        costs_(groups_.count()) {
+    matrix.set_cells(static_cast<std::int64_t>(groups_.cell_node.size()));
+  }
 
-  const std::vector<double>& rhs() const { return rhs_; }
-  std::vector<double> take_rhs() && { return std::move(rhs_); }
+  std::span<const double> rhs() const { return {rhs_.data(), rhs_.data() + matrix_.rows()}; }
+  std::vector<double> take_rhs() && {
+    rhs_.resize(matrix_.rows());
+    return std::move(rhs_);
+  }
 
   // Adds an edge with the Jacobians of the nodes it leads from and to, W and W e.
   class Adder {
@@ -82,42 +85,34 @@ class NormalSystem {
   }
 
  private:
-  // The numbers of a cell: a block and a part of the right-hand side.
-  static constexpr std::int64_t kCell = kBlock * kBlock + kBlock;
-
   // `wj` may be a product that is still to be computed, which is faster than a matrix.
   template <class Product>
-  [[gnu::always_inline]] void add_node(std::int32_t target, const Square& j, const Product& wj,
+  [[gnu::always_inline]] void add_node(std::int32_t index, const Square& j, const Product& wj,
                                        const Column& we) {
-    double* block;
-    double* part;
-    if (target >= 0) {
-      block = matrix_.node_block(target);
-      part = &rhs_[std::int64_t{kBlock} * target];
-    } else {
-      block = cells_.data() + kCell * ~target;
-      part = block + kBlock * kBlock;
-      std::fill_n(block, kCell, 0.0);
-    }
-    Eigen::Map<Square>(block).noalias() += j.transpose() * wj;
-    Eigen::Map<Column>(part).noalias() -= j.transpose() * we;
+    block_of(index).noalias() += j.transpose() * wj;
+    part_of(index).noalias() -= j.transpose() * we;
   }
 
-  // Adds what edges of other groups have for the nodes of a group.
+  // Adds what other groups have for the nodes of a group.
   void add_cells(std::int32_t group) {
+    const auto nodes = static_cast<std::int64_t>(groups_.block.size() - groups_.cell_node.size());
     for (std::int64_t k = groups_.cell_start[group]; k < groups_.cell_start[group + 1]; ++k) {
-      const std::int32_t node = groups_.cell_node[k];
-      const double* const cell = cells_.data() + kCell * k;
-      Eigen::Map<Square>(matrix_.node_block(node)) += Eigen::Map<const Square>(cell);
-      Eigen::Map<Column>(&rhs_[std::int64_t{kBlock} * node]) +=
-          Eigen::Map<const Column>(cell + kBlock * kBlock);
+      block_of(groups_.cell_node[k]) += block_of(nodes + k);
+      part_of(groups_.cell_node[k]) += part_of(nodes + k);
     }
+  }
+
+  // Of a free node or a cell.
+  Eigen::Map<Square> block_of(std::int64_t index) {
+    return Eigen::Map<Square>(matrix_.block(groups_.block[index]));
+  }
+  Eigen::Map<Column> part_of(std::int64_t index) {
+    return Eigen::Map<Column>(&rhs_[kBlock * index]);
   }
 
   GraphMatrix& matrix_;
   EdgeGroups groups_;
-  std::vector<double> rhs_;
-  AlignedBuffer cells_;
+  std::vector<double> rhs_;    // of the nodes and the cells
   std::vector<double> costs_;  // of each group
 };
 

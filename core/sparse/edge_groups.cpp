@@ -49,15 +49,8 @@ EdgeGroups::EdgeGroups(const Elimination& elimination, std::span<const Edge> edg
   }
 
   entry_start.assign(groups + 1, 0);
-  std::vector<std::int64_t> cells_of(groups > 1 ? nodes + 1 : 1, 0);
-  for (const Edge& edge : edges) {
-    const auto [first, second] = ends(edge);
-    ++entry_start[group_at[first] + 1];
-    if (group_at[first] != group_at[second]) ++cells_of[second + 1];
-  }
+  for (const Edge& edge : edges) ++entry_start[group_at[ends(edge).first] + 1];
   accumulate(entry_start);
-  accumulate(cells_of);
-
   entries.resize(edges.size());
   std::vector<std::int64_t> next(entry_start.begin(), entry_start.end() - 1);
   for (std::size_t k = 0; k < edges.size(); ++k) {
@@ -68,23 +61,48 @@ EdgeGroups::EdgeGroups(const Elimination& elimination, std::span<const Edge> edg
         a > b ? ~joint : joint};
   }
 
+  const BlockPattern& pattern = elimination.pattern();
+  block.assign(pattern.start.begin(), pattern.start.end() - 1);
   cell_start.assign(groups + 1, 0);
-  cell_node.resize(cells_of.back());
-  for (std::int32_t k = 0; k + 1 < static_cast<std::int32_t>(cells_of.size()); ++k) {
-    cell_start[group_at[k] + 1] = cells_of[k + 1];
-    std::fill(cell_node.begin() + cells_of[k], cell_node.begin() + cells_of[k + 1], order[k]);
+  if (groups == 1) return;
+
+  // Calls f(entry, position of the node of another group, group) where an edge has one.
+  const auto each_outside = [&](auto f) {
+    for (std::int32_t g = 0; g < groups; ++g) {
+      for (auto k = entry_start[g]; k < entry_start[g + 1]; ++k) {
+        Entry& entry = entries[k];
+        if (entry.from == kFixed || entry.to == kFixed) continue;
+        const std::int32_t outside = std::max(position[entry.from], position[entry.to]);
+        if (group_at[outside] != g) f(entry, outside, g);
+      }
+    }
+  };
+  std::vector<std::int64_t> cells(nodes + 1, 0);  // of each position; then its next one
+  std::vector<std::int32_t> last_group(nodes, -1);
+  each_outside([&](const Entry&, std::int32_t at, std::int32_t g) {
+    cells[at + 1] += last_group[at] != g;
+    last_group[at] = g;
+  });
+  accumulate(cells);
+  cell_node.resize(cells.back());
+  block.reserve(nodes + cell_node.size());
+  for (std::int32_t k = 0; k < nodes; ++k) {
+    cell_start[group_at[k] + 1] = cells[k + 1];
+    std::fill(cell_node.begin() + cells[k], cell_node.begin() + cells[k + 1], order[k]);
   }
   for (std::int32_t g = 0; g < groups; ++g) {  // a group may have no nodes
     cell_start[g + 1] = std::max(cell_start[g + 1], cell_start[g]);
   }
-  if (cell_node.empty()) return;
-  for (Entry& entry : entries) {
-    if (entry.from == kFixed || entry.to == kFixed) continue;
-    const std::int32_t from = position[entry.from], to = position[entry.to];
-    if (group_at[from] == group_at[to]) continue;
-    const auto cell = static_cast<std::int32_t>(cells_of[std::max(from, to)]++);
-    (from > to ? entry.from : entry.to) = ~cell;
+  for (std::size_t c = 0; c < cell_node.size(); ++c) {
+    block.push_back(static_cast<std::int32_t>(pattern.row.size() + c));
   }
+  std::fill(last_group.begin(), last_group.end(), -1);
+  each_outside([&](Entry& entry, std::int32_t at, std::int32_t g) {
+    cells[at] += last_group[at] != g;
+    last_group[at] = g;
+    const auto cell = static_cast<std::int32_t>(nodes + cells[at] - 1);
+    (entry.from == order[at] ? entry.from : entry.to) = cell;
+  });
 }
 
 }  // namespace masat

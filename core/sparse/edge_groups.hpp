@@ -2,7 +2,6 @@
 #pragma once
 
 #include <cstdint>
-#include <limits>
 #include <span>
 #include <vector>
 
@@ -13,17 +12,18 @@ namespace masat {
 
 // Groups have about as many edges. Each owns the nodes of a range of the elimination order, whose
 // neighbors are mostly in the same range. An edge belongs to the group of its end that is
-// eliminated first, so no other group has the block of its two nodes. What it adds to its other
-// end, if that is of another group, goes to a cell, and from there to the node after all groups.
-// The groups do not depend on the threads, so that sums always have the same order.
+// eliminated first, so no other group has the block of its two nodes. What a group adds to a node
+// of another one goes to a cell, and from there to the node after all groups. The groups do not
+// depend on the threads, so that sums always have the same order.
 struct EdgeGroups {
   // Where an edge adds its parts.
   struct Entry {
     std::int32_t edge;
-    std::int32_t from, to;  // index of the free node, kFixed, or ~ that of a cell
+    std::int32_t from, to;  // of its nodes: index among the free ones, or kFixed, or a cell,
+                            // counted from the number of free nodes
     std::int32_t joint;     // block of the pattern, ~ that if its rows are those of `from`
   };
-  static constexpr std::int32_t kFixed = std::numeric_limits<std::int32_t>::min();
+  static constexpr std::int32_t kFixed = -1;
 
   // `work` is the number of scalars in a block: edges take time in proportion to it.
   EdgeGroups(const Elimination& elimination, std::span<const Edge> edges, int work);
@@ -35,9 +35,12 @@ struct EdgeGroups {
 
   std::vector<std::int64_t> entry_start;
   std::vector<Entry> entries;
-  // The node to which each cell belongs, by group; of a group and node in the order of the entries.
+  // The node to which each cell belongs, by the groups of the nodes. The cells of a node are in the
+  // order of the groups that add to them.
   std::vector<std::int64_t> cell_start;
   std::vector<std::int32_t> cell_node;
+  // The block of each free node, and of each cell behind those of the pattern.
+  std::vector<std::int32_t> block;
 };
 
 }  // namespace masat

@@ -13,6 +13,8 @@ namespace {
 constexpr int kNodesPerThread = 64;
 // Blocks that a task sets to zero, or whose diagonal it reads: some microseconds of work.
 constexpr std::int64_t kBlocksPerTask = 4096;
+// Nodes whose rows of a product a task computes.
+constexpr std::int64_t kNodesPerTask = 512;
 
 // The numbers do not depend on the threads: more than can work only take memory.
 int limit_threads(int asked, std::int32_t nodes) {
@@ -31,18 +33,27 @@ void add_product(const double* h, const double* v, int columns, double* out) {
   }
 }
 
-// kColumns is 0 where the number of columns is not a compile-time constant.
+// The rows of the nodes [begin, end). Each block beside the diagonal is read twice, so that no two
+// tasks write the same rows. kColumns is 0 where the number of columns is not a compile-time
+// constant.
 template <int kSize, int kColumns>
-void multiply_blocks(const BlockPattern& pattern, const double* values, const double* v,
-                     int given_columns, double* out) {
+void multiply_rows(const Elimination& elimination, const double* values, const double* v,
+                   int given_columns, double* out, std::int64_t begin, std::int64_t end) {
   const int columns = kColumns > 0 ? kColumns : given_columns;
-  const std::int64_t step = std::int64_t{kSize} * columns;
-  for (std::int32_t c = 0; c < pattern.columns(); ++c) {
-    for (std::int64_t k = pattern.start[c]; k < pattern.start[c + 1]; ++k) {
-      const double* const h = values + k * kSize * kSize;
-      const std::int32_t r = pattern.row[k];
-      add_product<kSize, true>(h, v + step * r, columns, out + step * c);
-      if (r != c) add_product<kSize, false>(h, v + step * c, columns, out + step * r);
+  const std::int64_t step = std::int64_t{kSize} * columns, block = kSize * kSize;
+  for (auto node = static_cast<std::int32_t>(begin); node < end; ++node) {
+    double* const own = out + step * node;
+    std::fill(own, own + step, 0.0);
+    const double* const diagonal = values + block * elimination.pattern().start[node];
+    add_product<kSize, true>(diagonal, v + step * node, columns, own);
+    for (const BlockGraph::Neighbor& neighbor : elimination.adjacency().neighbors(node)) {
+      const double* const h = values + block * neighbor.entry;
+      const double* const other = v + step * neighbor.node;
+      if (neighbor.node > node) {
+        add_product<kSize, true>(h, other, columns, own);
+      } else {
+        add_product<kSize, false>(h, other, columns, own);
+      }
     }
   }
 }
@@ -108,15 +119,18 @@ void GraphMatrix::diagonal(double* out) const {
 }
 
 void GraphMatrix::multiply(const double* v, int columns, double* out) const {
-  std::fill(out, out + rows() * columns, 0.0);
+  const WorkerPool::Session session(*pool_);
   with_block_size(d_, [&]<int kSize>() {
-    const auto multiply = columns == 1   ? multiply_blocks<kSize, 1>
-                          : columns == 2 ? multiply_blocks<kSize, 2>
-                          : columns == 3 ? multiply_blocks<kSize, 3>
-                          : columns == 4 ? multiply_blocks<kSize, 4>
-                          : columns == 5 ? multiply_blocks<kSize, 5>
-                                         : multiply_blocks<kSize, 0>;
-    multiply(pattern(), values_.data(), v, columns, out);
+    const auto multiply = columns == 1   ? multiply_rows<kSize, 1>
+                          : columns == 2 ? multiply_rows<kSize, 2>
+                          : columns == 3 ? multiply_rows<kSize, 3>
+                          : columns == 4 ? multiply_rows<kSize, 4>
+                          : columns == 5 ? multiply_rows<kSize, 5>
+                                         : multiply_rows<kSize, 0>;
+    pool_->for_chunks(pattern().columns(), kNodesPerTask,
+                      [&](std::int64_t begin, std::int64_t end) {
+                        multiply(*elimination_, values_.data(), v, columns, out, begin, end);
+                      });
   });
 }
 

@@ -42,6 +42,10 @@ class GraphMatrix {
   void add_edge(const Topology& graph, std::int64_t edge, const double* first, const double* joint,
                 const double* second, const double* values, int columns, double* rhs);
 
+  // Blocks behind those of the pattern, for parts of sums that are not part of the matrix.
+  void set_cells(std::int64_t count) {
+    values_.resize((static_cast<std::int64_t>(pattern().row.size()) + count) * d_ * d_);
+  }
   void set_zero();
   // Blocks, column-major: that of an entry of the pattern, that of a free node by its index, and
   // that of an edge between free nodes, whose rows are those of the node with the greater index.

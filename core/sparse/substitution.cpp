@@ -79,7 +79,8 @@ void Substitution::solve(const Multifrontal& factor) {
 }
 
 // A row of blocks has `block` scalars of a group. For one right-hand side, `width` and `block` are
-// compile-time constants.
+// compile-time constants, and no look at the signals is needed: it is short beside the
+// factorization.
 template <class Width, class Block>
 void Substitution::solve_groups(const Multifrontal& factor, Width width, Block block) {
   const WorkerPool::Session session(pool_);
@@ -116,7 +117,7 @@ template <class Width, class Block>
 void Substitution::forward(const Multifrontal& factor, std::int32_t f, int rank, Width width,
                            Block block) {
   const Front front = factor.front(f);
-  if (!goes_on(front, rank)) return;
+  if (width > 1 && !goes_on(front, rank)) return;
   const auto kernel = width == 1 ? kernels_.forward : kernels_.forward_wide;
   const std::int32_t* const begin = target_.data() + layout_.tree().row_start[f];
   const std::int32_t* const end = target_.data() + layout_.tree().row_start[f + 1];
@@ -141,7 +142,7 @@ template <class Width, class Block>
 void Substitution::backward(const Multifrontal& factor, std::int32_t f, int rank, Width width,
                             Block block) {
   const Front front = factor.front(f);
-  if (!goes_on(front, rank)) return;
+  if (width > 1 && !goes_on(front, rank)) return;
   const auto kernel = width == 1 ? kernels_.backward : kernels_.backward_wide;
   double* const pivots = front_[rank].data();
   double* const rows = pivots + front.ld11 * width;
@@ -159,10 +160,8 @@ void Substitution::backward(const Multifrontal& factor, std::int32_t f, int rank
   }
 }
 
-// Notices Ctrl-C in the thread that called solve. With one right-hand side, solving is short beside
-// the factorization.
+// Notices Ctrl-C in the thread that called solve.
 bool Substitution::goes_on(const Front& front, int rank) noexcept {
-  if (width_ == 1) return true;
   if (rank == 0) {
     try {
       poll_.add(double(groups_) * width_ * front.pivots * (front.pivots + front.rows));
