@@ -11,9 +11,10 @@
 
 namespace masat {
 
-// A table of factors. Each kind has size(), edges(), cost(k, poses), and linearize(k, poses, losses,
-// adder), where poses[node] is a pose and the adder that of a NormalSystem. What the constructor is
-// given is not copied and must outlive the table; without information there are residuals alone.
+// A table of factors. Each kind has size(), edges(), cost(k, poses), and linearize(k, poses,
+// losses, adder), where poses[node] is a pose and the adder that of a NormalSystem. What the
+// constructor is given is not copied and must outlive the table; without information there are
+// residuals alone.
 template <LieGroup Group>
 class RelativePoseFactors {
  public:

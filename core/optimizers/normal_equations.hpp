@@ -125,9 +125,9 @@ class NormalEquationsOf : public NormalEquations {
 
   void set_poses(const double* poses) {
     poses_.view(poses, nodes());
-    matrix_.pool().for_chunks(
-        nodes(), kNodesPerTask,
-        [&](std::int64_t begin, std::int64_t end) { poses_.prepare(begin, end); });
+    matrix_.pool().for_chunks(nodes(), kNodesPerTask, [&](std::int64_t begin, std::int64_t end) {
+      poses_.prepare(begin, end);
+    });
   }
 
   Factors factors_;

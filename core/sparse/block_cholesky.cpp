@@ -71,6 +71,7 @@ void BlockCholesky::solve(std::span<double> rhs, int columns) const {
   WorkerPool& pool = factor.pool();
   const WorkerPool::Session session(pool);
   const auto nodes = static_cast<std::int64_t>(order.size());
+  // Calls copy(a value of `rhs`, the same one in the elimination order) for all values.
   const auto exchange = [&](auto copy) {
     for (int first = 0; first < columns; first += width) {
       const int count = std::min(width, columns - first);

@@ -52,13 +52,18 @@ EdgeGroups::EdgeGroups(const Elimination& elimination, std::span<const Edge> edg
   for (const Edge& edge : edges) ++entry_start[group_at[ends(edge).first] + 1];
   accumulate(entry_start);
   entries.resize(edges.size());
+  std::vector<bool> seen(elimination.pattern().row.size(), false);
   std::vector<std::int64_t> next(entry_start.begin(), entry_start.end() - 1);
   for (std::size_t k = 0; k < edges.size(); ++k) {
     const std::int32_t a = elimination.index(edges[k].from), b = elimination.index(edges[k].to);
-    const auto joint = static_cast<std::int32_t>(elimination.joint(static_cast<std::int64_t>(k)));
-    entries[next[group_at[ends(edges[k]).first]]++] = {
-        static_cast<std::int32_t>(k), a >= 0 ? a : kFixed, b >= 0 ? b : kFixed,
-        a > b ? ~joint : joint};
+    Entry& entry = entries[next[group_at[ends(edges[k]).first]]++];
+    entry = {static_cast<std::int32_t>(k), a >= 0 ? a : kFixed, b >= 0 ? b : kFixed, 0, a > b, 0};
+    if (a >= 0 && b >= 0) {
+      const std::int64_t joint = elimination.joint(static_cast<std::int64_t>(k));
+      entry.joint = static_cast<std::uint32_t>(joint);
+      entry.repeated = seen[joint];
+      seen[joint] = true;
+    }
   }
 
   const BlockPattern& pattern = elimination.pattern();

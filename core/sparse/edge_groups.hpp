@@ -19,9 +19,11 @@ struct EdgeGroups {
   // Where an edge adds its parts.
   struct Entry {
     std::int32_t edge;
-    std::int32_t from, to;  // of its nodes: index among the free ones, or kFixed, or a cell,
-                            // counted from the number of free nodes
-    std::int32_t joint;     // block of the pattern, ~ that if its rows are those of `from`
+    std::int32_t from, to;       // of its nodes: index among the free ones, or kFixed, or a cell,
+                                 // counted from the number of free nodes
+    std::uint32_t joint : 30;    // block of the two nodes in the pattern
+    std::uint32_t flipped : 1;   // whether its rows are those of `from`
+    std::uint32_t repeated : 1;  // whether an earlier edge of the group has the same one
   };
   static constexpr std::int32_t kFixed = -1;
 

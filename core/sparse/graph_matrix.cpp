@@ -11,7 +11,7 @@ namespace {
 
 // A thread for so many nodes can find work in a matrix that has much fill-in.
 constexpr int kNodesPerThread = 64;
-// Blocks that a task sets to zero, or whose diagonal it reads: some microseconds of work.
+// Blocks whose diagonal a task reads: some microseconds of work.
 constexpr std::int64_t kBlocksPerTask = 4096;
 // Nodes whose rows of a product a task computes.
 constexpr std::int64_t kNodesPerTask = 512;
@@ -65,15 +65,8 @@ GraphMatrix::GraphMatrix(std::shared_ptr<const Elimination> elimination, int blo
     : elimination_(std::move(elimination)),
       d_(block_size),
       values_(elimination_->pattern().row.size() * block_size * block_size),
-      pool_(std::make_unique<WorkerPool>(
-          limit_threads(threads, elimination_->pattern().columns()))) {}
-
-void GraphMatrix::set_zero() {
-  const WorkerPool::Session session(*pool_);
-  const auto size = static_cast<std::int64_t>(values_.size());
-  pool_->for_chunks(size, kBlocksPerTask * d_ * d_, [&](std::int64_t begin, std::int64_t end) {
-    std::fill(values_.begin() + begin, values_.begin() + end, 0.0);
-  });
+      pool_(
+          std::make_unique<WorkerPool>(limit_threads(threads, elimination_->pattern().columns()))) {
 }
 
 void GraphMatrix::add_edge(const Topology& graph, std::int64_t edge, const double* first,
@@ -109,13 +102,12 @@ void GraphMatrix::add_edge(const Topology& graph, std::int64_t edge, const doubl
 
 void GraphMatrix::diagonal(double* out) const {
   const WorkerPool::Session session(*pool_);
-  pool_->for_chunks(
-      pattern().columns(), kBlocksPerTask, [&](std::int64_t begin, std::int64_t end) {
-        for (std::int64_t c = begin; c < end; ++c) {
-          const double* const values = block(pattern().start[c]);
-          for (int i = 0; i < d_; ++i) out[c * d_ + i] = values[i * (d_ + 1)];
-        }
-      });
+  pool_->for_chunks(pattern().columns(), kBlocksPerTask, [&](std::int64_t begin, std::int64_t end) {
+    for (std::int64_t c = begin; c < end; ++c) {
+      const double* const values = block(pattern().start[c]);
+      for (int i = 0; i < d_; ++i) out[c * d_ + i] = values[i * (d_ + 1)];
+    }
+  });
 }
 
 void GraphMatrix::multiply(const double* v, int columns, double* out) const {

@@ -1,6 +1,7 @@
 // A symmetric matrix with a block for each free node of a graph and each pair that edges join.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -46,7 +47,7 @@ class GraphMatrix {
   void set_cells(std::int64_t count) {
     values_.resize((static_cast<std::int64_t>(pattern().row.size()) + count) * d_ * d_);
   }
-  void set_zero();
+  void set_zero() { std::fill(values_.begin(), values_.end(), 0.0); }
   // Blocks, column-major: that of an entry of the pattern, that of a free node by its index, and
   // that of an edge between free nodes, whose rows are those of the node with the greater index.
   double* block(std::int64_t entry) { return values_.data() + entry * d_ * d_; }

@@ -56,9 +56,8 @@ class WorkerPool {
   // Calls f(begin, end) for chunks of `size` indices below `count`, the last of them shorter.
   template <class F>
   void for_chunks(std::int64_t count, std::int64_t size, F&& f) {
-    for_each(static_cast<std::int32_t>((count + size - 1) / size), [&](std::int32_t i, int) {
-      f(i * size, std::min((i + 1) * size, count));
-    });
+    for_each(static_cast<std::int32_t>((count + size - 1) / size),
+             [&](std::int32_t i, int) { f(i * size, std::min((i + 1) * size, count)); });
   }
 
  private:
@@ -69,7 +68,7 @@ class WorkerPool {
   void advance_round();
 
   std::vector<std::thread> workers_;
-  int sessions_ = 0;  // of the calling thread
+  int sessions_ = 0;                     // of the calling thread
   std::atomic<std::uint32_t> round_{0};  // odd during a session and after the end
   std::atomic<bool> stop_{false};
   // The current step. The upper half of the ticket is its number, the lower half the count of tasks
