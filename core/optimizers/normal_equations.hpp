@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <memory>
+#include <numeric>
 #include <span>
 #include <utility>
 #include <vector>
@@ -29,7 +30,7 @@ class NormalEquations {
   virtual std::int64_t factors() const = 0;
   virtual std::span<const std::int32_t> free_nodes() const = 0;
 
-  // The sum of the losses of e' W e.
+  // The sum of the losses of e' W e, in the same order as linearize adds them.
   virtual double cost(const double* poses, const EdgeLosses& losses) = 0;
   // Sets H and the gradient's negative half at `poses`; returns the cost there.
   virtual double linearize(const double* poses, const EdgeLosses& losses) = 0;
@@ -72,7 +73,16 @@ class NormalEquationsOf : public NormalEquations {
   double cost(const double* poses, const EdgeLosses& losses) override {
     const WorkerPool::Session session(matrix_.pool());
     set_poses(poses);
-    return total_cost(factors_, poses_, losses, matrix_.pool(), sums_);
+    const EdgeGroups& groups = system_.groups();
+    sums_.resize(groups.count());
+    matrix_.pool().for_each(groups.count(), [&](std::int32_t group, int) {
+      double sum = 0;
+      for (const EdgeGroups::Entry& entry : groups.entries_of(group)) {
+        sum += losses.cost(entry.edge, factors_.cost(entry.edge, poses_));
+      }
+      sums_[group] = sum;
+    });
+    return std::accumulate(sums_.begin(), sums_.end(), 0.0);
   }
 
   double linearize(const double* poses, const EdgeLosses& losses) override {

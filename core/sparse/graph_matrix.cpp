@@ -44,16 +44,15 @@ void multiply_rows(const Elimination& elimination, const double* values, const d
   for (auto node = static_cast<std::int32_t>(begin); node < end; ++node) {
     double* const own = out + step * node;
     std::fill(own, own + step, 0.0);
+    const auto neighbors = elimination.adjacency().neighbors(node);  // the greatest one first
+    auto next = neighbors.rbegin();
+    for (; next != neighbors.rend() && next->node < node; ++next) {
+      add_product<kSize, false>(values + block * next->entry, v + step * next->node, columns, own);
+    }
     const double* const diagonal = values + block * elimination.pattern().start[node];
     add_product<kSize, true>(diagonal, v + step * node, columns, own);
-    for (const BlockGraph::Neighbor& neighbor : elimination.adjacency().neighbors(node)) {
-      const double* const h = values + block * neighbor.entry;
-      const double* const other = v + step * neighbor.node;
-      if (neighbor.node > node) {
-        add_product<kSize, true>(h, other, columns, own);
-      } else {
-        add_product<kSize, false>(h, other, columns, own);
-      }
+    for (; next != neighbors.rend(); ++next) {
+      add_product<kSize, true>(values + block * next->entry, v + step * next->node, columns, own);
     }
   }
 }
