@@ -2,13 +2,10 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <algorithm>
 #include <cstdint>
-#include <vector>
 
 #include "factors/loss.hpp"
 #include "sparse/edge_groups.hpp"
-#include "sparse/worker_pool.hpp"
 
 namespace masat {
 
@@ -23,22 +20,6 @@ void residuals(const Factors& factors, const Poses& poses, double* out) {
 template <class Factors, class Poses>
 void costs(const Factors& factors, const Poses& poses, double* out) {
   for (std::int64_t k = 0; k < factors.size(); ++k) out[k] = factors.cost(k, poses);
-}
-
-// The total cost, summed in chunks so that it does not depend on the threads. `sums` is theirs.
-template <class Factors, class Poses>
-double total_cost(const Factors& factors, const Poses& poses, const EdgeLosses& losses,
-                  WorkerPool& pool, std::vector<double>& sums) {
-  constexpr std::int64_t kChunk = 1024;
-  sums.assign((factors.size() + kChunk - 1) / kChunk, 0.0);
-  pool.for_chunks(factors.size(), kChunk, [&](std::int64_t begin, std::int64_t end) {
-    double sum = 0;
-    for (std::int64_t k = begin; k < end; ++k) sum += losses.cost(k, factors.cost(k, poses));
-    sums[begin / kChunk] = sum;
-  });
-  double total = 0;
-  for (const double sum : sums) total += sum;
-  return total;
 }
 
 // Adds the factors of a group of edges; returns their cost. A function of its own, into which the
