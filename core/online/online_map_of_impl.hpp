@@ -249,13 +249,13 @@ void OnlineMapOf<Group>::settle(Clock::time_point deadline, bool limited, StepSu
     if (!retried) {
       for (const std::int32_t node : factor_.damped()) relinearization_.add(graph_, node);
     }
-    if (relinearization_.chosen().empty() && coarsest_ > kFallen * cost &&
-        summary.passes < kMostPasses) {
-      solve_all(summary);
-      continue;
-    }
     if (relinearization_.chosen().empty()) {
-      summary.complete = factor_.damped().empty();
+      const bool coarse = coarsest_ > kFallen * cost;
+      if (coarse && summary.passes < kMostPasses) {
+        solve_all(summary);
+        continue;
+      }
+      summary.complete = !coarse && factor_.damped().empty();
       return factor_.forget_damped();
     }
     if (summary.passes >= kMostPasses || Clock::now() > deadline) {
