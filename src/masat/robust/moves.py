@@ -29,7 +29,7 @@ _LOWER, _LARGE_GAIN = 1e-6, 2.0
 # What the rest leaves of the covariance of a group, at least, as a fraction of it.
 _LEAST_LEFT = 0.1
 # chi2 of the kept closures, as a multiple of what it should be, above which none is suspected more.
-_MAX_MISFIT = 1.5
+_MAX_MISFIT = 1.2
 
 
 class Move(NamedTuple):
