@@ -16,20 +16,23 @@ from masat.arrays import AnyArray, Floats, Ids, Indices
 from masat.covariance import relative_from_blocks
 from masat.errors import GraphError, OptimizationError
 from masat.graph import PoseGraph
-from masat.measurements.priors import Priors
+from masat.measurements import Landmarks, Priors
 from masat.online.additions import (
     are_plain,
+    check_observations,
+    check_priors,
     checked_edges,
     checked_guess,
     checked_id,
-    checked_priors,
 )
 from masat.online.arrivals import Arrivals
 from masat.online.files import read_map, write_map
 from masat.online.review import look_again
+from masat.online.sensor_rows import places, rows_of_observations, rows_of_priors
 from masat.online.steps import Steps, undetermined
 from masat.online.update import Update
 from masat.optimizers import Result
+from masat.residuals import as_poses
 
 # Measured on seven public graphs (benchmarks/online.py): chi2 is then 1.5e-4 above the optimum of a
 # step in the mean.
@@ -39,8 +42,8 @@ TOLERANCE = 1.5e-4
 class OnlineMap(Steps):
     """A map of which poses and edges become known one after the other.
 
-    A front end adds a pose and its edges, calls `update`, and reads the poses: each step changes
-    only what its edges change, and costs a small fraction of a solve. `graph` returns the map as an
+    A front end adds a pose, its edges and what it saw, calls `update`, and reads the poses: each
+    step changes only what its edges change, and costs a small fraction of a solve. `graph` returns the map as an
     immutable `PoseGraph`, and `optimize` takes it to the exact optimum.
 
     One node of each connected component is fixed, the one that was added first. Where an edge joins
@@ -108,10 +111,13 @@ class OnlineMap(Steps):
         super().__init__(int(dimension), float(tolerance), robust=robust)
 
     def __len__(self) -> int:
-        return self._core.nodes() - 1
+        return self._nodes
 
     def __repr__(self) -> str:
-        return f"OnlineMap({self._dimension}D, {len(self)} nodes, {self._core.edges()} edges)"
+        edges = f"{len(self)} nodes, {self._core.edges()} edges"
+        points = self._core.point_count()
+        more = f", {points} landmarks" if points else ""
+        return f"OnlineMap({self._dimension}D, {edges}{more})"
 
     @property
     def dimension(self) -> int:
@@ -215,7 +221,7 @@ class OnlineMap(Steps):
         Parameters
         ----------
         priors : Priors
-            On poses that have been added, from `masat.gps` and the like, without sensor offsets.
+            On poses and landmarks that have been added, from `masat.gps` and the like.
 
         Returns
         -------
@@ -225,37 +231,85 @@ class OnlineMap(Steps):
         Raises
         ------
         GraphError
-            If a pose is unknown, if the priors are of another dimension, or if they have sensor
-            offsets. The map is unchanged.
+            If a node is unknown, if the priors are of another dimension, or if one on a landmark
+            measures a rotation. The map is unchanged.
         """
         with self._writing:
-            nodes = checked_priors(self._core, priors, self._dimension)
-            first = self._core.next_edge()
-            self._core.add_priors(nodes, priors.measurements, priors.information)
-            numbers = np.arange(first, self._core.next_edge())
-            self._waiting.withhold(self._core, numbers, nodes, priors)
-            return numbers
+            check_priors(self._core, priors, self._dimension)
+            return self._waiting.add(self._core, rows_of_priors(priors))
+
+    def add_observations(self, seen: Landmarks) -> Ids:
+        """Add landmarks and what poses saw of them, which become part of the map at an `update`.
+
+        The first observation that determines the position of a landmark places it. Of ranges alone
+        or bearings alone, several are needed: they wait until together they determine it. So do
+        observations of a landmark of another part of the map, until they determine how the parts
+        lie to each other to about ten degrees; then the newer part is moved as a whole.
+
+        Parameters
+        ----------
+        seen : Landmarks
+            Observations from poses that have been added, from `masat.landmarks` and
+            `masat.range_bearing`. Positions that it has are where new landmarks begin.
+
+        Returns
+        -------
+        ndarray of int64, (l,)
+            The numbers of the observations, by which `remove_edges` knows them: they are counted
+            with the edges.
+
+        Raises
+        ------
+        GraphError
+            If a pose is unknown, if a landmark has the id of a pose, or if the landmarks are of
+            another dimension. The map is unchanged.
+        """
+        with self._writing:
+            check_observations(self._core, seen, self._dimension)
+            rows = rows_of_observations(seen)
+            placed = rows["node"][places(rows)]
+            new = []
+            for k, node in enumerate(seen.ids.tolist()):
+                if self._core.find(node) >= 0:
+                    continue
+                where = None if seen.positions is None else as_poses(seen.positions[k : k + 1])[0]
+                self._core.add_node(node, where, True)
+                if where is None and not (placed == node).any():
+                    new.append(self._core.find(node))
+            return self._waiting.add(self._core, rows, np.array(new, np.int32))
 
     @property
     def waiting_priors(self) -> Ids:
         """The numbers of the priors that do not determine yet where their part of the map lies."""
-        return self._waiting.waiting
+        return self._waiting.numbers(priors=True, rejected=False)
+
+    @property
+    def waiting_observations(self) -> Ids:
+        """The numbers of the observations that do not determine yet what they measure."""
+        return self._waiting.numbers(priors=False, rejected=False)
 
     @property
     def rejected_priors(self) -> Ids:
         """The numbers of the priors that a robust map has left out, ascending."""
-        return np.sort(self._waiting.rejected["number"])
+        return self._waiting.numbers(priors=True, rejected=True)
+
+    @property
+    def rejected_observations(self) -> Ids:
+        """The numbers of the observations that a robust map has left out, ascending."""
+        return self._waiting.numbers(priors=False, rejected=True)
 
     def remove_edges(self, numbers: int | ArrayLike) -> None:
-        """Remove edges or priors at the next `update`; nodes that lose all their edges remain.
+        """Remove edges, priors or observations at the next `update`; all nodes remain.
 
-        Where a component falls apart, the node of the new part that was added first is fixed at its
-        pose.
+        Where a component falls apart, the pose of the new part that was added first is fixed. So it
+        does where what is left does not determine how its parts lie to each other or in the world:
+        the priors and observations that join them wait then, until others determine it. A landmark
+        that is not determined any more has no position until it is.
 
         Parameters
         ----------
         numbers : int or array_like of int, (k,)
-            Numbers of edges or priors, as `add_edges` and `add_priors` returned them.
+            Numbers as `add_edges`, `add_priors` and `add_observations` returned them.
 
         Raises
         ------
@@ -275,6 +329,7 @@ class OnlineMap(Steps):
                     if not self._core.has_edge(int(number)):
                         raise GraphError(f"the map has no edge {number}, or it is removed already")
                 raise GraphError("an edge is named twice among those to be removed")
+            self._removed.append(wanted[~withheld])
             self._waiting.remove(wanted[withheld])
             if self._arrivals is not None:
                 self._arrivals.remove(wanted)
@@ -317,19 +372,49 @@ class OnlineMap(Steps):
     @property
     def ids(self) -> Ids:
         """Ids of the poses, (n,), in the order in which they were added."""
-        return self._core.ids()[1:]
+        core = self._core
+        return _poses_among(core, core.ids())
 
     @property
     def poses(self) -> Floats:
         """The poses after the last update, (n, 3) or (n, 7), in the order of `ids`; a copy."""
-        return self._core.poses()[1:]
+        core = self._core
+        return _poses_among(core, core.poses())
 
     def pose(self, node: int) -> Floats:
         """Return one pose after the last update, (3,) or (7,); an unknown id is a GraphError."""
-        pose = self._core.pose(checked_id(node))
-        if pose is None:
+        core = self._core
+        pose = core.pose(checked_id(node))
+        if pose is None or (core.point_count() and core.is_point(node)):
             raise GraphError(f"the map has no node {node}")
         return pose
+
+    @property
+    def point_ids(self) -> Ids:
+        """Ids of the landmarks that have a position, (k,), in the order in which they were added."""
+        return self._points()[0]
+
+    @property
+    def points(self) -> Floats:
+        """Their positions after the last update, (k, 2) or (k, 3), in the order of `point_ids`."""
+        return self._points()[1]
+
+    def point(self, node: int) -> Floats:
+        """Return the position of one landmark, (2,) or (3,); one without is a GraphError."""
+        ids, points = self._points()
+        for k in np.flatnonzero(ids == checked_id(node)):
+            return points[k]
+        raise GraphError(f"the map has no landmark {node}, or its position is not determined yet")
+
+    def _points(self) -> tuple[Ids, Floats]:
+        """Return ids and positions of the landmarks after one and the same update."""
+        while True:
+            core, hidden = self._core, self._waiting.hidden
+            poses = core.poses()
+            shown, ids = core.points()[: len(poses)], core.ids()[: len(poses)]
+            shown[hidden[hidden < len(poses)]] = False
+            if hidden is self._waiting.hidden and core is self._core:
+                return ids[shown], poses[shown, : self._dimension]
 
     @property
     def chi2(self) -> float:
@@ -365,6 +450,40 @@ class OnlineMap(Steps):
         with self._writing:
             indices = self._indices(self.ids if ids is None else ids, 1)
             return self._core.covariances(indices, indices)
+
+    def landmark_covariances(self, ids: ArrayLike | None = None) -> Floats:
+        """Return the marginal covariances of landmarks, from the factor of the last update.
+
+        Parameters
+        ----------
+        ids : array_like of int, (k,), optional
+            Ids of landmarks. Default: all, in the order of `point_ids`.
+
+        Returns
+        -------
+        ndarray, (k, 2, 2) or (k, 3, 3)
+            In square meters, along the axes of the map. A landmark that nothing measures any more
+            has covariance zero.
+
+        Raises
+        ------
+        GraphError
+            If an id is that of no landmark that has a position.
+        """
+        with self._writing:
+            known = self.point_ids
+            wanted = known if ids is None else checks.integers("ids", ids)
+            if wanted.ndim != 1:
+                raise GraphError(f"ids must have shape (k,), got {wanted.shape}")
+            for unknown in wanted[~np.isin(wanted, known)][:1]:
+                raise GraphError(
+                    f"the map has no landmark {unknown}, or its position is not determined yet"
+                )
+            indices, d = self._core.find_all(wanted), self._dimension
+            # The steps of a node are along its own axes.
+            turn = _core.rotation_matrices(self._core.linearized(indices))
+            own = self._core.covariances(indices, indices)[:, :d, :d]
+            return turn @ own @ turn.transpose(0, 2, 1)
 
     def relative_covariances(self, pairs: ArrayLike) -> Floats:
         """Return the covariances of poses relative to others, from the factor of the last update.
@@ -415,7 +534,7 @@ class OnlineMap(Steps):
         """Return the map after the last update as an immutable graph with poses.
 
         Its edges are in the order of their numbers, and its gauge-fixed nodes are those of the map.
-        It has the edges that are believed, and the priors that do not wait.
+        It has the edges that are believed, and the priors and observations that do not wait.
 
         Raises
         ------
@@ -474,11 +593,12 @@ class OnlineMap(Steps):
         """
         dimension, tolerance, contents, closures = read_map(Path(path))
         out = cls(dimension, tolerance=tolerance, robust=closures is not None)
-        out._waiting.restore(contents.pop("waiting"))
+        waiting = contents.pop("waiting")
         try:
             out._core.fill(**contents)
         except _core.UndeterminedError as error:
             raise undetermined(error, "the file cannot be used") from None
+        out._waiting.restore(out._core, waiting)
         if out._arrivals is not None and closures is not None:
             out._arrivals.restore(out._core, contents, closures)
         out._schedule.begin(len(out), out._doubted)
@@ -495,6 +615,17 @@ class OnlineMap(Steps):
                 f"{'(k, 2)' if ndim == 2 else '(k,)'}, got {wanted.shape}"
             )
         indices = self._core.find_all(wanted.ravel()).reshape(wanted.shape)
-        for unknown in wanted[indices < 0][:1]:
+        is_unknown = indices < 0
+        if self._core.point_count():
+            is_unknown |= self._core.points()[indices]
+        for unknown in wanted[is_unknown][:1]:
             raise GraphError(f"the map has no node {unknown}")
         return indices
+
+
+def _poses_among(core: _core.OnlineMap, nodes: AnyArray) -> AnyArray:
+    """Return the rows of an array over the core's nodes that are poses, not landmarks or the world."""
+    if not core.point_count():
+        return nodes[1:]
+    out: AnyArray = nodes[~core.points()[: len(nodes)]][1:]
+    return out

@@ -12,12 +12,12 @@ from masat.arrays import Ids
 from masat.errors import GraphError, OptimizationError
 from masat.graph import PoseGraph
 from masat.online.arrivals import Arrivals
-from masat.online.files import graph_of
-from masat.online.review import Found, Review, Snapshot, snapshot
+from masat.online.contents import graph_of, poses_of_nodes
+from masat.online.review import Found, Review, Snapshot, kept_rows, snapshot
 from masat.online.schedule import Schedule
 from masat.online.takeover import outcome_of
 from masat.online.update import Update
-from masat.online.waiting_priors import WaitingPriors
+from masat.online.waiting import Waiting
 from masat.optimizers import Result, optimize
 
 _NO_BUDGET = 1e9
@@ -39,7 +39,9 @@ class Steps:
         self._core = self._new_core()
         self._writing = threading.RLock()
         self._arrivals = Arrivals(self._dimension) if robust else None
-        self._waiting = WaitingPriors(self._dimension)
+        self._waiting = Waiting(self._dimension)
+        # Numbers of edges that the current step removes from the core.
+        self._removed: list[Ids] = []
         self._schedule = Schedule()
         self._review: Review | None = None
 
@@ -49,20 +51,31 @@ class Steps:
     @property
     def _nodes(self) -> int:
         # The world is one of the core's nodes.
-        return self._core.nodes() - 1
+        return self._core.nodes() - 1 - self._core.point_count()
 
     def _advanced(self, budget: float | None) -> Update:
         """Bring the map up to date, whatever a review may say."""
         begin = perf_counter()
+        if self._removed:
+            if self._core.has_sensor_edges():
+                removed = np.concatenate(self._removed)
+                self._waiting.take_out_undetermined(self._core, removed)
+            self._removed.clear()
         try:
             done = self._updated(budget)
-            if self._waiting.release(self._core):
-                done = done.followed_by(self._updated(budget))
         except OptimizationError:
-            self._waiting.forget_new()
+            self._waiting.forget_new(self._core)
             if self._arrivals is not None:
                 self._arrivals.forget_new()
             raise
+        self._waiting.commit(self._core)
+        while self._waiting.release(self._core):
+            try:
+                done = done.followed_by(self._updated(budget))
+            except OptimizationError:
+                self._waiting.take_back(self._core)
+                break
+            self._waiting.commit(self._core)
         if self._arrivals is not None:
             self._arrivals.commit()
             left = None if budget is None else max(budget - (perf_counter() - begin), 0.0)
@@ -129,7 +142,7 @@ class Steps:
         changed = 0
         if decision is not None:
             changed = int(np.count_nonzero(decision.kept != seen.believed))
-            changed += int(np.count_nonzero(decision.kept_priors != seen.believed_priors))
+            changed += int(np.count_nonzero(kept_rows(seen, decision) != seen.believed_rows))
         self._schedule.end(changed, 0 if self._arrivals is None else len(self._arrivals))
         if found.poses is None:
             return None
@@ -159,15 +172,19 @@ class Steps:
         """Return the map after the last update."""
         contents = self._core.contents()
         ids: Ids = contents["ids"]
-        if len(ids) == 0:
+        if self._nodes == 0:
             raise GraphError("the map is empty: add poses, and update it")
         roots = np.unique(contents["roots"])
-        return graph_of(contents).with_root(ids[roots[roots >= 0]])
+        roots = ids[roots[(roots >= 0) & ~contents["points"][roots]]]
+        return graph_of(contents, self._core.ids()[self._waiting.hidden]).with_root(roots)
 
     def _to_optimum(self) -> Result:
         """Optimize the graph, and move the map to its poses."""
         result = optimize(self._graph(), relative_tolerance=_OPTIMUM)
-        poses = result.poses[result.graph.index(self._core.ids()[1:])]
+        ids, poses = self._core.ids()[1:], self._core.poses()[1:]
+        shown = np.ones(len(ids), np.bool_)
+        shown[self._waiting.hidden - 1] = False
+        poses[shown] = poses_of_nodes(result.graph, ids[shown])
         try:
             self._core.set_poses(poses)
         except _core.UndeterminedError as error:
