@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from masat import _checks as checks
 from masat import _core, lie
-from masat.arrays import Floats, Ids
+from masat.arrays import Flags, Floats, Ids
 from masat.errors import GraphError, InformationError
 from masat.information import indefinite
 from masat.measurements import Landmarks, Priors
@@ -132,7 +132,7 @@ def check_priors(core: _core.OnlineMap, priors: Priors, dimension: int) -> None:
         )
     if priors.dimension != dimension:
         raise GraphError(f"the map is {dimension}D, and the priors are {priors.dimension}D")
-    turned = priors.information[:, dimension:].any(axis=(1, 2))
+    turned: Flags = np.asarray(priors.information[:, dimension:].any(axis=(1, 2)))
     if priors.offsets is not None:
         turned |= (priors.offsets[:, :dimension] != 0).any(axis=1)
     for k, node in enumerate(priors.ids.tolist()):
@@ -170,8 +170,9 @@ def check_observations(core: _core.OnlineMap, seen: Landmarks, dimension: int) -
                 f"the id {node} is that of a pose and of a landmark: choose another", node=node
             )
     if seen.positions is None:
-        for node in np.setdiff1d(seen.ids, seen.observations[:, 1]).tolist():
-            if core.find(node) < 0:
+        observed = set(seen.observations[:, 1].tolist())
+        for node in seen.ids.tolist():
+            if node not in observed and core.find(node) < 0:
                 raise GraphError(
                     f"landmark {node} has neither an observation nor a position: leave it out",
                     node=node,

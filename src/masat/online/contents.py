@@ -21,12 +21,14 @@ def graph_of(contents: dict[str, Any], hidden: Ids | None = None) -> PoseGraph:
     contents : dict
         Contents of the core's map.
     hidden : ndarray of int64, optional
-        Ids of landmarks to leave out, which nothing in the contents measures.
+        Ids of landmarks to leave out if nothing in the contents measures them.
     """
     ids, poses, is_point = contents["ids"], contents["poses"], contents["points"]
     size, rows = poses.shape[1], rows_of(contents)
     d = 2 if size == lie.POSE_SIZE[2] else 3
-    shown = is_point if hidden is None else is_point & ~np.isin(ids, hidden)
+    shown = is_point
+    if hidden is not None and len(hidden):
+        shown = is_point & ~np.isin(ids, np.setdiff1d(hidden, rows["node"]))
     return PoseGraph.from_arrays(
         contents["edges"],
         contents["measurements"].reshape(-1, size),

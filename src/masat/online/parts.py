@@ -1,4 +1,4 @@
-"""How the parts of a map that grows lie to each other, and where landmarks are, as far as measured."""
+"""How the parts of a map that grows lie to each other, and where its landmarks are."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from masat import lie
 from masat.arrays import AnyArray, Flags, Floats, Indices
 from masat.assembly import assemble
 from masat.covariance import covariances
+from masat.errors import OptimizationError
 from masat.freedoms import body_of_each_node, undetermined
 from masat.graph import PoseGraph
 from masat.initializers.odometry import odometry
 from masat.initializers.placing import placed_assembly
 from masat.initializers.triangulation import triangulated
-from masat.measurements import Priors, landmarks
+from masat.measurements import Priors
 from masat.online.contents import graph_of
 from masat.online.sensor_rows import landmarks_of, places, rows_of, with_rows
 from masat.optimizers import optimize
@@ -31,9 +32,7 @@ _STIFFNESS = 1e3
 _MAX_ROUNDS = 20
 
 
-def motion_of_part(
-    poses: Floats, rows: AnyArray, ends: Indices, is_moved: Flags
-) -> Floats | None:
+def motion_of_part(poses: Floats, rows: AnyArray, ends: Indices, is_moved: Flags) -> Floats | None:
     """Return the motion of a rigid part onto what rows say of it, or None if they leave it open.
 
     Parameters
@@ -101,8 +100,11 @@ def _motion(poses: Floats, of_each: Indices, priors: Priors) -> Floats | None:
         return None
     assert placed.graph.poses is not None
     found = placed.graph.poses[placed.poses_at]
-    result = optimize(placed.disassembled(placed.graph.poses))
-    spread = np.linalg.eigvalsh(covariances(result.graph, [0])[0][d:, d:])[-1]
+    try:
+        result = optimize(placed.disassembled(placed.graph.poses))
+        spread = np.linalg.eigvalsh(covariances(result.graph, [0])[0][d:, d:])[-1]
+    except OptimizationError:
+        return None  # They determine it so little that rounding decides.
     # In 3D the covariance is that of half the angle.
     if np.sqrt(spread) * (1 if d == 2 else 2) > _MAX_ANGLE:
         return None
@@ -138,7 +140,7 @@ def positions_of_landmarks(rows: AnyArray, seen_from: Floats) -> tuple[Floats, F
 
 
 def undetermined_rows(contents: dict[str, Any]) -> Flags:
-    """Tell which priors and observations of a map leave nodes undetermined that they join to others.
+    """Tell which priors and observations join nodes to others without determining them.
 
     Without these rows, the parts of the map are determined, each in its own frame.
 

@@ -117,7 +117,7 @@ def snapshot(
 
 
 def kept_rows(seen: Snapshot, decision: Decision) -> Flags:
-    """Return which priors and observations a decision keeps, in the order of those of a snapshot."""
+    """Return which priors and observations of a snapshot a decision keeps."""
     is_prior = seen.rows["is_prior"]
     kept = np.ones(len(is_prior), np.bool_)
     if len(decision.measurements):

@@ -1,7 +1,7 @@
 """Priors and observations of a map that grows, as rows of one kind.
 
-The core knows both as edges that may have a sensor offset or measure range and bearing: a prior leads
-from the world to a node, an observation from a pose to a landmark (`assembly.py`).
+The core knows both as edges that may have a sensor offset or measure range and bearing: a prior
+leads from the world to a node, an observation from a pose to a landmark (`assembly.py`).
 """
 
 from __future__ import annotations
@@ -106,12 +106,9 @@ def places(rows: AnyArray) -> Flags:
 
 def ends_of(rows: AnyArray, core: _core.OnlineMap) -> Indices:
     """Return the indices of both nodes of each row in the core, (k, 2): the world is 0."""
-    poses, nodes = np.unique(rows["pose"]), np.unique(rows["node"])
-    ends = np.zeros((len(rows), 2), np.int32)
-    for column, ids, wanted in ((0, poses, rows["pose"]), (1, nodes, rows["node"])):
-        # They may wait for the next update.
-        indices = np.array([core.find(node) for node in ids.tolist()], np.int32)
-        ends[:, column] = indices[np.searchsorted(ids, wanted)]
+    # They may wait for the next update.
+    pairs = zip(rows["pose"].tolist(), rows["node"].tolist(), strict=True)
+    ends = np.array([(core.find(a), core.find(b)) for a, b in pairs], np.int32).reshape(-1, 2)
     ends[rows["is_prior"], 0] = 0
     return ends
 
@@ -133,7 +130,10 @@ def add_to_core(core: _core.OnlineMap, rows: AnyArray, may_place: Flags | None =
     is_new = len(rows) > 0 and bool(rows["number"][0] < 0)
     core.add_sensor_edges(
         ends_of(rows, core),
-        *(np.array(rows[name]) for name in list(COLUMNS.values())[1:]),
+        np.array(rows["measurement"]),
+        np.array(rows["information"]),
+        np.array(rows["offset"]),
+        np.array(rows["range_bearing"]),
         may_place,
         None if is_new else np.array(rows["number"]),
     )
@@ -169,11 +169,12 @@ def index_of(wanted: Ids, ids: Ids) -> Indices:
     """
     order = np.argsort(ids)
     at = np.searchsorted(ids, wanted, sorter=order).clip(max=max(len(ids) - 1, 0))
-    return order[at].astype(np.int32)
+    out: Indices = order[at].astype(np.int32)
+    return out
 
 
 def _ranges_and_angles(poses: Floats, d: int) -> Floats:
-    """Return the range, the bearing and in 3D the elevation of which `measured_poses` made poses."""
+    """Return the ranges and angles of which `measured_poses` made poses."""
     out = np.empty((len(poses), d))
     out[:, 0] = np.sqrt(np.square(poses[:, :d]).sum(axis=1))
     if d == 2:

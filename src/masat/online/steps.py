@@ -73,7 +73,7 @@ class Steps:
             try:
                 done = done.followed_by(self._updated(budget))
             except OptimizationError:
-                self._waiting.take_back(self._core)
+                self._waiting.take_back()
                 break
             self._waiting.commit(self._core)
         if self._arrivals is not None:
@@ -182,8 +182,7 @@ class Steps:
         """Optimize the graph, and move the map to its poses."""
         result = optimize(self._graph(), relative_tolerance=_OPTIMUM)
         ids, poses = self._core.ids()[1:], self._core.poses()[1:]
-        shown = np.ones(len(ids), np.bool_)
-        shown[self._waiting.hidden - 1] = False
+        shown = ~self._core.points()[1:] | np.isin(ids, result.graph.point_ids)
         poses[shown] = poses_of_nodes(result.graph, ids[shown])
         try:
             self._core.set_poses(poses)

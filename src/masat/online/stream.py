@@ -12,7 +12,6 @@ import numpy as np
 from masat.arrays import Floats, Ids
 from masat.graph import PoseGraph
 from masat.groups import Groups
-from masat.measurements import Landmarks
 from masat.online.growing import TOLERANCE, OnlineMap
 
 

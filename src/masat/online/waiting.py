@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from masat import _core, lie
-from masat.arrays import AnyArray, Flags, Floats, Ids, Indices
+from masat.arrays import AnyArray, Flags, Ids, Indices
 from masat.online.parts import motion_of_part, positions_of_landmarks, undetermined_rows
 from masat.online.sensor_rows import add_to_core, ends_of, places, record_of_rows, rows_of
 from masat.residuals import as_poses
@@ -117,7 +117,7 @@ class Waiting:
         return np.asarray(~np.isin(self._rows["number"], np.concatenate(self._leaving)))
 
     def take_out_undetermined(self, core: _core.OnlineMap, removed: Ids) -> None:
-        """Let rows wait again that would leave nodes undetermined without some edges of the core."""
+        """Let rows wait again that determine nothing without some edges of the core."""
         contents = core.contents()
         for prefix, names in (
             ("edge_numbers", ("edges", "measurements", "information")),
@@ -143,6 +143,7 @@ class Waiting:
             self._leaving.clear()
         self._added.clear()
         self._taken_out = 0
+        self._hide(core)
 
     def release(self, core: _core.OnlineMap) -> bool:
         """Add rows to the core that are determined now, for its next update.
@@ -156,26 +157,25 @@ class Waiting:
         ends, roots = ends_of(rows, core), core.roots()
         one, other = roots[ends].T
         to_lone = core.points()[other]
-        may_place: Flags | None = places(rows) & to_lone
+        may_place: Flags = places(rows) & to_lone
         ready = (one == other) | _with_first(ends[:, 1], one, may_place)
         open_ = to_lone & ~np.isin(ends[:, 1], ends[may_place, 1]) & ~rows["is_prior"]
         if open_.any():
             found = self._triangulated(core, rows, ends[:, 1], one, ends[:, 0], open_)
             ready, may_place = ready | found, may_place | found
-        if not ready.any():
-            ready, may_place = self._tied(core, rows, ends, roots, ~to_lone), None
+        stays = not ready.any()
+        if stays:
+            ready = self._tied(core, rows, ends, roots, ~to_lone)
         if ready.any():
             self._rows = np.delete(self._rows, waiting[ready])
             self._added.append(rows[ready])
-            add_to_core(core, rows[ready], None if may_place is None else may_place[ready])
-        self._hide(core)
+            add_to_core(core, rows[ready], None if stays else may_place[ready])
         return bool(ready.any())
 
-    def take_back(self, core: _core.OnlineMap) -> None:
+    def take_back(self) -> None:
         """Let the rows wait again that `release` added, since the core's update failed."""
         self._rows = np.concatenate([self._rows, *self._added])
         self._added.clear()
-        self._hide(core)
 
     def _triangulated(
         self,
@@ -198,7 +198,7 @@ class Waiting:
                 self._tried[point, part] = count
                 tried.append((point, mine))
         # All are found at the same time; of one that two parts see, that of the first part.
-        first = {point: mine for point, mine in reversed(tried)}
+        first = dict(reversed(tried))
         if not first:
             return out
         every = np.logical_or.reduce(list(first.values()))
@@ -225,7 +225,7 @@ class Waiting:
         """
         parts = np.sort(roots[ends], axis=1)
         for older, newer in np.unique(parts[is_tie], axis=0).tolist():
-            mine = is_tie & (parts == (older, newer)).all(axis=1)
+            mine: Flags = is_tie & (parts == (older, newer)).all(axis=1)
             count = int(np.count_nonzero(mine))
             if count < _GROWTH * self._tried.get((older, newer), 0):
                 continue
@@ -240,12 +240,11 @@ class Waiting:
 
     def _hide(self, core: _core.OnlineMap) -> None:
         """Note which landmarks have nothing but what waits."""
-        ids = np.unique(self._rows["node"][~self._rows["rejected"]])
-        nodes = core.find_all(ids) if len(ids) else np.zeros(0, np.int32)
+        if len(self._rows) == 0 and len(self._hidden) == 0:
+            return
+        nodes = core.find_all(np.unique(self._rows["node"][~self._rows["rejected"]]))
         nodes = nodes[nodes > 0]
-        if len(nodes):
-            nodes = nodes[core.points()[core.roots()[nodes]]]
-        self._hidden = nodes
+        self._hidden = nodes[core.points()[core.roots()[nodes]]]
 
 
 def _with_first(points: Indices, parts: Indices, may_place: Flags) -> Flags:
