@@ -9,11 +9,14 @@ import numpy as np
 
 from masat import _core
 from masat.arrays import Ids
-from masat.errors import GraphError, OptimizationError
+from masat.errors import GraphError, MasatError, OptimizationError
+from masat.freedoms import degrees_of_freedom
 from masat.graph import PoseGraph
+from masat.initializers import guess_of
+from masat.initializers.triangulation import is_plausible
 from masat.online.arrivals import Arrivals
-from masat.online.contents import graph_of, poses_of_nodes
-from masat.online.review import Found, Review, Snapshot, kept_rows, snapshot
+from masat.online.contents import graph_of, poses_of_nodes, roots_of
+from masat.online.review import Found, Review, Snapshot, in_frame, kept_rows, snapshot
 from masat.online.schedule import Schedule
 from masat.online.takeover import outcome_of
 from masat.online.update import Update
@@ -90,9 +93,28 @@ class Steps:
             raise undetermined(error, "what was added since the last update is forgotten") from None
         if done.complete or budget is not None:
             return done
-        # Gauss-Newton, which all this is, does not converge from everywhere.
+        # Gauss-Newton, which all this is, does not converge from everywhere, and may have led far.
         result = self._to_optimum()
+        if not result.converged or self._may_be_far_off(result):
+            result = self._to_optimum_from_a_guess(result)
         return done._replace(chi2=result.chi2, complete=result.converged)
+
+    def _may_be_far_off(self, result: Result) -> bool:
+        """Whether the map is not good, and has measurements from which Gauss-Newton may go far."""
+        if not self._core.has_sensor_edges():
+            return False
+        return not is_plausible(result.chi2, degrees_of_freedom(result.graph))
+
+    def _to_optimum_from_a_guess(self, result: Result) -> Result:
+        """Move the map to the optimum from an initial guess of its own, if that is better."""
+        try:
+            found = optimize(guess_of(self._graph(), "auto"), relative_tolerance=_OPTIMUM)
+        except MasatError:
+            return result
+        if not found.chi2 < result.chi2:
+            return result
+        self._move_to(found.graph, fixed_stay=True)
+        return found
 
     def _with_judged(self, arrivals: Arrivals, done: Update, budget: float | None) -> Update:
         """Judge the closures that have just arrived, and add those that are believed."""
@@ -181,14 +203,21 @@ class Steps:
     def _to_optimum(self) -> Result:
         """Optimize the graph, and move the map to its poses."""
         result = optimize(self._graph(), relative_tolerance=_OPTIMUM)
+        self._move_to(result.graph)
+        return result
+
+    def _move_to(self, graph: PoseGraph, *, fixed_stay: bool = False) -> None:
+        """Move the map to the poses of a graph, perhaps in the frame of its fixed nodes."""
         ids, poses = self._core.ids()[1:], self._core.poses()[1:]
-        shown = ~self._core.points()[1:] | np.isin(ids, result.graph.point_ids)
-        poses[shown] = poses_of_nodes(result.graph, ids[shown])
+        shown = ~self._core.points()[1:] | np.isin(ids, graph.point_ids)
+        there = poses_of_nodes(graph, ids[shown])
+        if fixed_stay:
+            there = in_frame(there, roots_of(graph, ids[shown]), poses[shown])
+        poses[shown] = there
         try:
             self._core.set_poses(poses)
         except _core.UndeterminedError as error:
             raise undetermined(error, "the poses are as before") from None
-        return result
 
 
 def undetermined(error: Exception, outcome: str) -> OptimizationError:
