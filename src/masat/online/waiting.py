@@ -134,10 +134,10 @@ class Waiting:
 
     def commit(self, core: _core.OnlineMap) -> None:
         """Keep what the core has left out of its last update, and drop what was removed."""
-        left_out = core.left_out()
-        if len(left_out):
+        if self._added:
             added = np.concatenate(self._added)
-            self._rows = np.concatenate([self._rows, added[np.isin(added["number"], left_out)]])
+            left_out = np.isin(added["number"], core.left_out())
+            self._rows = np.concatenate([self._rows, added[left_out]])
         if self._leaving:
             self._rows = self._rows[self._staying]
             self._leaving.clear()
@@ -150,6 +150,8 @@ class Waiting:
 
         Returns whether there are any.
         """
+        if len(self._rows) == 0:
+            return False
         waiting = np.flatnonzero(~self._rows["rejected"])
         if len(waiting) == 0:
             return False
