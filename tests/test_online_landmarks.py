@@ -105,7 +105,7 @@ def test_a_stream_ends_at_the_optimum_of_all_measurements(dimension, polar, leve
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))
 def test_any_order_of_additions_and_removals(dimension, seed):
     """Edges, observations and fixes in random order; parts join and fall apart."""
     random = np.random.default_rng(300 + seed)
@@ -148,7 +148,7 @@ def test_any_order_of_additions_and_removals(dimension, seed):
 
     inside = {}
     outside = random.permutation(len(graph.edges) + len(pairs) + len(nodes)).tolist()
-    for _ in range(260):
+    for _ in range(200):
         if outside and (not inside or random.random() < 0.65):
             row = outside.pop()
             inside[int(add(row)[0])] = row

@@ -21,6 +21,7 @@ from masat.online.contents import graph_of
 from masat.online.sensor_rows import landmarks_of, places, rows_of, with_rows
 from masat.optimizers import optimize
 from masat.residuals import as_poses
+from masat.structure import Structure
 
 # Standard deviation of the rotation of a part, in radians, up to which its pose is known well
 # enough to go on from there by Gauss-Newton; and of the position of a landmark, as a fraction of
@@ -156,6 +157,8 @@ def undetermined_rows(contents: dict[str, Any]) -> Flags:
     """
     rows = rows_of(contents)
     open_ = np.zeros(len(rows), np.bool_)
+    if _are_placed_by_one_body(contents, rows):
+        return open_
     for _ in range(_MAX_ROUNDS):
         graph = graph_of(with_rows(contents, rows[~open_]))
         if graph.priors is None and graph.landmarks is None:
@@ -179,3 +182,20 @@ def undetermined_rows(contents: dict[str, Any]) -> Flags:
             break
         open_ |= more
     return open_
+
+
+def _are_placed_by_one_body(contents: dict[str, Any], rows: AnyArray) -> bool:
+    """Whether nothing but edges joins poses, and single observations place all landmarks.
+
+    That costs little to tell, and leaves nothing undetermined.
+    """
+    if rows["is_prior"].any():
+        return False
+    ids = np.sort(contents["ids"][~contents["points"]])
+    nothing = np.empty(0, np.int64)
+    edges = Structure(ids, contents["edges"], nothing, contents["information"].shape[1])
+    body = edges.components[edges.index(rows["pose"])]
+    observed, own = np.unique(rows["node"], return_inverse=True)
+    order = np.argsort(own, kind="stable")
+    same = (np.diff(own[order]) != 0) | (np.diff(body[order]) == 0)
+    return bool(same.all() and np.isin(np.arange(len(observed)), own[places(rows)]).all())

@@ -26,6 +26,8 @@ from masat.optimizers import Result, optimize
 _NO_BUDGET = 1e9
 # A change of chi2 by less is below what two runs of an optimizer agree in.
 _OPTIMUM = 1e-13
+# Growth of chi2 after which Gauss-Newton may have led to a place far off.
+_MUCH = 2.0
 
 
 class Steps:
@@ -47,6 +49,8 @@ class Steps:
         self._removed: list[Ids] = []
         self._schedule = Schedule()
         self._review: Review | None = None
+        # chi2 when an initial guess was tried last, since Gauss-Newton may have led far off.
+        self._chi2_of_guess = 0.0
 
     def _new_core(self) -> _core.OnlineMap:
         return _core.OnlineMap(self._dimension, self._tolerance)
@@ -100,17 +104,22 @@ class Steps:
         return done._replace(chi2=result.chi2, complete=result.converged)
 
     def _may_be_far_off(self, result: Result) -> bool:
-        """Whether the map is not good, and has measurements from which Gauss-Newton may go far."""
-        if not self._core.has_sensor_edges():
+        """Whether the map is not good, and has measurements from which Gauss-Newton may go far.
+
+        A map with wrong measurements is never good: it is if chi2 has not grown much since the
+        last initial guess.
+        """
+        if not self._core.has_sensor_edges() or result.chi2 < _MUCH * self._chi2_of_guess:
             return False
         return not is_plausible(result.chi2, degrees_of_freedom(result.graph))
 
     def _to_optimum_from_a_guess(self, result: Result) -> Result:
         """Move the map to the optimum from an initial guess of its own, if that is better."""
         try:
-            found = optimize(guess_of(self._graph(), "auto"), relative_tolerance=_OPTIMUM)
+            found = optimize(guess_of(self._graph(), "chordal"), relative_tolerance=_OPTIMUM)
         except MasatError:
             return result
+        self._chi2_of_guess = min(found.chi2, result.chi2)
         if not found.chi2 < result.chi2:
             return result
         self._move_to(found.graph, fixed_stay=True)
