@@ -60,7 +60,10 @@ class OnlineMapOf final : public OnlineMap {
   bool has_sensor_edges() const override {
     return point_count() > 0 || !graph_.node(0).edges.empty();
   }
-  bool is_point(std::int32_t node) const override { return graph_.node(node).is_point; }
+  bool is_point(std::int32_t node) const override {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return points_[node] != 0;
+  }
   void place_point(std::int32_t node, const double* pose) override {
     graph_.place(node) = {Group::load(pose), Group::load(pose)};
     given_[node] = true;

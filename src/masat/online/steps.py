@@ -57,8 +57,12 @@ class Steps:
 
     @property
     def _nodes(self) -> int:
-        # The world is one of the core's nodes.
-        return self._core.nodes() - 1 - self._core.point_count()
+        # The world is one of the core's nodes. Another thread may read while landmarks are added.
+        core = self._core
+        nodes = core.nodes()
+        if core.point_count():
+            nodes = int(np.count_nonzero(~core.points()))
+        return nodes - 1
 
     def _advanced(self, budget: float | None) -> Update:
         """Bring the map up to date, whatever a review may say."""
@@ -207,7 +211,8 @@ class Steps:
             raise GraphError("the map is empty: add poses, and update it")
         roots = np.unique(contents["roots"])
         roots = ids[roots[(roots >= 0) & ~contents["points"][roots]]]
-        return graph_of(contents, self._core.ids()[self._waiting.hidden]).with_root(roots)
+        hidden = self._waiting.hidden[self._waiting.hidden < self._core.nodes()]
+        return graph_of(contents, self._core.ids()[hidden]).with_root(roots)
 
     def _to_optimum(self) -> Result:
         """Optimize the graph, and move the map to its poses."""
