@@ -140,17 +140,26 @@ class UndeterminedError(Exception):
 
 class OnlineMap:
     def __init__(self, dimension: int, tolerance: float) -> None: ...
-    def add_node(self, node: int, pose: Floats | None = ...) -> bool: ...
+    def add_node(self, node: int, pose: Floats | None = ..., is_point: bool = ...) -> bool: ...
     def add_edges(
         self, edges: Ids, measurements: Floats, information: Floats, numbers: Ids | None = ...
     ) -> bool: ...
-    def add_priors(
+    def add_sensor_edges(
         self,
-        nodes: Indices,
+        ends: Indices,
         measurements: Floats,
         information: Floats,
+        offsets: Floats,
+        range_bearing: Flags,
+        may_place: Flags | None = ...,
         numbers: Ids | None = ...,
     ) -> bool: ...
+    def left_out(self) -> Ids: ...
+    def has_sensor_edges(self) -> bool: ...
+    def place_point(self, node: int, pose: Floats) -> None: ...
+    def is_point(self, node: int) -> bool: ...
+    def points(self) -> Flags: ...
+    def point_count(self) -> int: ...
     def roots(self) -> Indices: ...
     def remove_edges(self, numbers: Ids) -> bool: ...
     def has_edge(self, number: int) -> bool: ...
@@ -178,6 +187,7 @@ class OnlineMap:
     def fill(
         self,
         ids: Ids,
+        points: Flags,
         poses: Floats,
         linearized: Floats,
         roots: Indices,
@@ -185,10 +195,12 @@ class OnlineMap:
         edges: Ids,
         measurements: Floats,
         information: Floats,
-        prior_numbers: Ids,
-        prior_ids: Ids,
-        prior_measurements: Floats,
-        prior_information: Floats,
+        sensor_numbers: Ids,
+        sensor_ends: Indices,
+        sensor_measurements: Floats,
+        sensor_information: Floats,
+        sensor_offsets: Floats,
+        sensor_range_bearing: Flags,
         next_edge: int,
     ) -> None: ...
 
