@@ -213,6 +213,23 @@ def test_bearings_wait_until_they_cross():
     np.testing.assert_allclose(world.point(9), at, atol=1e-6)
 
 
+def test_a_landmark_of_which_nothing_is_left_has_no_position():
+    world = corridor()
+    bearing = masat.range_bearing([(0, 9)], bearings=[0.1], sigma_bearing=0.01)
+    waits = world.add_observations(bearing)
+    world.update()
+    world.remove_edges(waits)
+    world.update()
+    assert world.point_ids.tolist() == []
+    world.remove_edges(world.add_observations(masat.landmarks([(1, 8)], [(1, 1)])))
+    world.update()
+    assert world.point_ids.tolist() == []
+    assert world.graph().landmarks is None
+    world.add_observations(masat.landmarks([(1, 8), (1, 9)], [(1, 1), (1, 2)]))
+    world.update()
+    np.testing.assert_allclose(world.points, [(2, 2), (2, 1)])
+
+
 def test_ranges_wait_until_no_mirror_image_fits():
     world = corridor(tolerance=0)
     at = np.array([2.0, 3.0])

@@ -26,7 +26,7 @@ from masat.online.additions import (
 from masat.online.files import read_map, write_map
 from masat.online.reading import Reading
 from masat.online.review import look_again
-from masat.online.sensor_rows import places, rows_of_observations, rows_of_priors
+from masat.online.sensor_rows import rows_of_observations, rows_of_priors
 from masat.online.steps import undetermined
 from masat.online.update import Update
 from masat.optimizers import Result
@@ -244,14 +244,13 @@ class OnlineMap(Reading):
         with self._writing:
             check_observations(self._core, seen, self._dimension)
             rows = rows_of_observations(seen)
-            placed = set(rows["node"][places(rows)].tolist())
             new = []
             for k, node in enumerate(seen.ids.tolist()):
                 if self._core.find(node) >= 0:
                     continue
                 where = None if seen.positions is None else as_poses(seen.positions[k : k + 1])[0]
                 self._core.add_node(node, where, True)
-                if where is None and node not in placed:
+                if where is None:
                     new.append(self._core.find(node))
             return self._waiting.add(self._core, rows, np.array(new, np.int32))
 

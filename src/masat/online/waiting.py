@@ -241,11 +241,11 @@ class Waiting:
         return np.zeros(len(rows), np.bool_)
 
     def _hide(self, core: _core.OnlineMap) -> None:
-        """Note which landmarks have nothing but what waits."""
+        """Note which landmarks have nothing but what waits, or have never had a position."""
         if len(self._rows) == 0 and len(self._hidden) == 0:
             return
         nodes = core.find_all(np.unique(self._rows["node"][~self._rows["rejected"]]))
-        nodes = nodes[nodes > 0]
+        nodes = np.union1d(nodes[nodes > 0], self._hidden[self._hidden < core.nodes()])
         self._hidden = nodes[core.points()[core.roots()[nodes]]]
 
 
