@@ -14,6 +14,7 @@ from masat.optimizers.termination import (
     Report,
     StopReason,
     Termination,
+    largest,
     length,
 )
 
@@ -35,7 +36,7 @@ def dogleg(
     radius = np.inf
     for _ in range(termination.max_iterations):
         rhs = equations.rhs()
-        if termination.flat(rhs):
+        if termination.flat(lambda rhs=rhs: largest(rhs)):
             return Outcome(poses, chi2, StopReason.GRADIENT)
         failed = equations.factorize(np.zeros_like(rhs))
         if failed >= 0:
