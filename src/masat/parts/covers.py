@@ -32,11 +32,11 @@ def smallest_cover(left: Ids, right: Ids) -> Ids:
                 break
     while True:
         depth = _depths(neighbors, of_left, of_right)
-        found = [_augment(i, neighbors, of_left, of_right, depth) for i in _free(of_left)]
+        seen = [False] * len(lefts)
+        found = [_augment(i, neighbors, of_left, of_right, depth, seen) for i in _free(of_left)]
         if not any(found):
             break
-    reached = [d >= 0 for d in depth]
-    uncovered = np.array(reached, np.bool_)
+    uncovered = np.array(depth) >= 0
     met = np.zeros(len(rights), np.bool_)
     for i in np.flatnonzero(uncovered):
         met[neighbors[i]] = True
@@ -71,6 +71,7 @@ def _augment(
     of_left: list[int],
     of_right: list[int],
     depth: list[int],
+    seen: list[bool],
 ) -> bool:
     """Turn an alternating path from a free node on the left around, if there is one."""
     path = [(root, iter(neighbors[root]))]
@@ -84,9 +85,9 @@ def _augment(
                 for (node, _), to in zip(path, taken, strict=True):
                     of_left[node], of_right[to] = to, node
                 return True
-            if depth[k] == depth[i] + 1:
+            if depth[k] == depth[i] + 1 and not seen[k]:
                 taken.append(j)
-                depth[k] = -2  # not looked at again from here on
+                seen[k] = True
                 path.append((k, iter(neighbors[k])))
                 break
         else:

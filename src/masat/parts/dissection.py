@@ -103,9 +103,7 @@ def metis_labels(graph: PoseGraph, parts: int) -> Ids:
             "of each node"
         ) from None
     start, neighbors = _adjacency(graph, free)
-    _, found = pymetis.part_graph(
-        parts, pymetis.CSRAdjacency(start, neighbors), recursive=True
-    )
+    _, found = pymetis.part_graph(parts, pymetis.CSRAdjacency(start, neighbors), recursive=True)
     labels[free] = found
     return labels
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any, Protocol
 
 from masat.errors import PartitionError
+from masat.parts.cost import homes
 from masat.parts.index import Index
-from masat.parts.tasks import limit_memory
+from masat.parts.tasks import PieceFile, hold
 
 
 class Engine(Protocol):
@@ -19,6 +21,9 @@ class Engine(Protocol):
 
     def gather(self, results: Iterable[Any]) -> list[Any]:
         """Wait for results and return them."""
+
+    def files(self) -> list[Any]:
+        """Return what stands for the `PieceFile` of each piece."""
 
 
 class _Deferred:
@@ -49,13 +54,22 @@ class InTurn:
 
     Parameters
     ----------
+    folder : Path
+        The folder of the partition.
+    index : Index
+        Its index.
     memory : int, optional
         How many bytes the systems of pieces may take together; what is thrown out is computed
         again. The system in use is always held. Default: a quarter of the machine's memory.
     """
 
-    def __init__(self, memory: int | None = None) -> None:
-        limit_memory(_quarter_of_machine() if memory is None else memory)
+    def __init__(self, folder: Path, index: Index, memory: int | None = None) -> None:
+        limit = _quarter_of_machine() if memory is None else memory
+        self._files = _files_of(folder, index, limit)
+
+    def files(self) -> list[PieceFile]:
+        """Return the `PieceFile` of each piece."""
+        return self._files
 
     def submit(self, piece: int, function: Callable[..., Any], *arguments: Any) -> Any:
         """Return what stands for the result of a task about a piece."""
@@ -75,24 +89,22 @@ class OnCluster:
     ----------
     client : distributed.Client
         The client of the cluster.
+    folder : Path
+        The folder of the partition.
     index : Index
-        The index of the partition.
+        Its index.
     """
 
-    def __init__(self, client: Any, index: Index) -> None:
-        self._client = client
+    def __init__(self, client: Any, folder: Path, index: Index) -> None:
+        self._client, self._folder, self._index = client, folder, index
+        self._files: list[Any] | None = None
         workers = self._workers()
         if not workers:
             raise PartitionError(
                 f"the cluster at {client.scheduler.address} has no workers: start some with "
                 "dask worker"
             )
-        self._home: list[str] = []
-        for k, entry in enumerate(index.pieces):
-            if k < index.parts:
-                self._home.append(workers[k * len(workers) // index.parts])
-            else:
-                self._home.append(self._home[entry.children[0]])
+        self._home = [workers[home] for home in homes(index, len(workers))]
 
     def submit(self, piece: int, function: Callable[..., Any], *arguments: Any) -> Any:
         """Return the future of a task about a piece."""
@@ -108,13 +120,33 @@ class OnCluster:
         """Wait for futures; give the pieces of dead workers to the others."""
         found: list[Any] = self._client.gather(list(results))
         workers = self._workers()
-        for k, home in enumerate(self._home):
-            if workers and home not in workers:
-                self._home[k] = workers[k % len(workers)]
+        if workers and not set(self._home) <= set(workers):
+            self._home = [
+                h if h in workers else workers[k % len(workers)] for k, h in enumerate(self._home)
+            ]
+            self._files = None
         return found
+
+    def files(self) -> list[Any]:
+        """Return the future of the `PieceFile` of each piece, which lies where its system is."""
+        if self._files is None:
+            needed: dict[str, int] = dict.fromkeys(self._home, 0)
+            for home, entry in zip(self._home, self._index.pieces, strict=True):
+                needed[home] += entry.memory
+            files = _files_of(self._folder, self._index, max(needed.values()))
+            self._files = [self.submit(k, hold, file) for k, file in enumerate(files)]
+        return self._files
 
     def _workers(self) -> list[str]:
         return sorted(self._client.scheduler_info(n_workers=-1)["workers"])
+
+
+def _files_of(folder: Path, index: Index, limit: int) -> list[PieceFile]:
+    where = str(folder.resolve())
+    return [
+        PieceFile(where, entry.file, index.graph, entry.hash, entry.memory, limit)
+        for entry in index.pieces
+    ]
 
 
 def _quarter_of_machine() -> int:

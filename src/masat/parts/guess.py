@@ -100,7 +100,6 @@ def finish(file: PieceFile, target: str, poses: Floats) -> None:
 
 
 def initial_guess(
-    files: list[PieceFile],
     index: Index,
     separators: list[Ids],
     engine: Engine,
@@ -108,10 +107,9 @@ def initial_guess(
     target: str,
 ) -> None:
     """Write the poses of an initial guess."""
-    size = 3 if index.dimension == 2 else 7
+    files = engine.files()
     placed = np.zeros(index.separators, np.bool_)
     poses = np.tile(lie.identity(index.dimension), (index.separators, 1))
-    assert poses.shape[1] == size
     visited = np.zeros(len(files), np.bool_)
     complete = visited.copy()
     turn = list(range(len(files)))
@@ -144,7 +142,6 @@ def initial_guess(
             "graph again"
         )
     jobs = [
-        engine.submit(k, finish, file, target, poses[separators[k]])
-        for k, file in enumerate(files)
+        engine.submit(k, finish, file, target, poses[separators[k]]) for k, file in enumerate(files)
     ]
     engine.gather(jobs)

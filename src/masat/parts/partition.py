@@ -14,6 +14,7 @@ from masat.errors import PartitionError
 from masat.graph import PoseGraph
 from masat.optimizers.termination import Report
 from masat.parts.checkpoints import GIVEN, Checkpoint, read_checkpoint, read_poses
+from masat.parts.cost import Cost, table
 from masat.parts.cutting import write_partition
 from masat.parts.index import Index, read_index
 from masat.parts.pieces import Piece, read_piece
@@ -117,6 +118,13 @@ class Partition:
     def status(self) -> Checkpoint | None:
         """Return how far the solve is; None before it has begun."""
         return read_checkpoint(self.folder, self.index.graph)
+
+    def costs(self) -> list[Cost]:
+        """Return what an iteration costs on one worker, on two, on four and so on.
+
+        It follows from the assembly trees: nothing is solved.
+        """
+        return table(self.index)
 
     def poses(self) -> tuple[Ids, Floats]:
         """Return the ids and the poses of the lowest chi2 so far: (n,), and (n, 3) or (n, 7).

@@ -19,7 +19,7 @@ from masat.parts.engines import Engine, InTurn, OnCluster
 from masat.parts.guess import GUESSES, initial_guess
 from masat.parts.index import Index
 from masat.parts.pieces import read_separators
-from masat.parts.system import PartSystem, files_of
+from masat.parts.system import PartSystem
 
 METHODS = {
     "levenberg_marquardt": levenberg_marquardt,
@@ -102,14 +102,16 @@ def solve_partition(
         raise OptimizationError("iteration limit and tolerances must not be negative")
     begin = perf_counter()
     separators = [read_separators(folder / e.file, index.graph) for e in index.pieces]
-    engine: Engine = InTurn(memory) if client is None else OnCluster(client, index)
+    engine: Engine = (
+        InTurn(folder, index, memory) if client is None else OnCluster(client, folder, index)
+    )
     checkpoint = None if restart else read_checkpoint(folder, index.graph)
     if checkpoint is None:
-        init, poses = _initial_poses(folder, index, separators, engine, init)
+        init, poses = _initial_poses(index, separators, engine, init)
         history: list[Iteration] = []
     else:
         init, poses, history = checkpoint.init, checkpoint.poses, list(checkpoint.history)
-    system = PartSystem(folder, index, engine, separators)
+    system = PartSystem(index, engine, separators)
     chi2 = system.chi2(poses)
     if not math.isfinite(chi2):
         raise OptimizationError("chi2 of the initial poses is not finite: they are too far apart")
@@ -157,7 +159,7 @@ def solve_partition(
 
 
 def _initial_poses(
-    folder: Path, index: Index, separators: list[Ids], engine: Engine, init: str | None
+    index: Index, separators: list[Ids], engine: Engine, init: str | None
 ) -> tuple[str, str]:
     """Return the initial guess and the name of its poses."""
     if init is None:
@@ -173,7 +175,7 @@ def _initial_poses(
             f"unknown initial guess {init!r} of a partition; known: given, {', '.join(GUESSES)}"
         )
     poses = f"guess-{secrets.token_hex(4)}"
-    initial_guess(files_of(folder, index), index, separators, engine, init, poses)
+    initial_guess(index, separators, engine, init, poses)
     return init, poses
 
 

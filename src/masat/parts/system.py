@@ -10,7 +10,6 @@ import math
 import secrets
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -40,19 +39,16 @@ class PartSystem:
 
     Parameters
     ----------
-    folder : Path
-        The folder of the partition.
     index : Index
-        Its index.
+        The index of the partition.
     engine : Engine
         Where tasks run.
     separators : list of ndarray
         `Piece.separators` of each piece.
     """
 
-    def __init__(self, folder: Path, index: Index, engine: Engine, separators: list[Ids]) -> None:
+    def __init__(self, index: Index, engine: Engine, separators: list[Ids]) -> None:
         self._index, self._engine, self._separators = index, engine, separators
-        self._files = files_of(folder, index)
         self._dof = DOF[index.dimension]
         self._known: dict[str, _Known] = {}
         self._pending: dict[str, list[Any]] = {}
@@ -64,10 +60,11 @@ class PartSystem:
     def chi2(self, poses: str, /) -> float:
         """Return the chi2 at poses, and remember those of the lowest."""
         if poses not in self._known:
-            before = self._pending.pop(poses, [None] * len(self._files))
+            before = self._pending.pop(poses, [None] * len(self._index.pieces))
+            files = self._engine.files()
             # From the top down: a piece is linearized just after its poses have been written.
             jobs = [
-                self._engine.submit(k, tasks.linearize, self._files[k], poses, before[k])
+                self._engine.submit(k, tasks.linearize, files[k], poses, before[k])
                 for k in self._down
             ]
             found: list[Linearization] = self._engine.gather(jobs)[::-1]
@@ -91,7 +88,7 @@ class PartSystem:
 
     def damped_step(self, damping: float, /) -> DampedStep | int:
         """Return the step, or the id of a node that the damped system does not determine."""
-        known, pieces = self._known[self._at], self._index.pieces
+        known, pieces, files = self._known[self._at], self._index.pieces, self._engine.files()
         jobs: list[tasks.Elimination] = []
         messages: list[Any] = []
         for k, entry in enumerate(pieces):
@@ -101,9 +98,7 @@ class PartSystem:
                 diagonal = known.diagonal[own].ravel()
             jobs.append(tasks.Elimination(self._at, damping, known.floor, diagonal))
             below = [messages[c] for c in entry.children]
-            messages.append(
-                self._engine.submit(k, tasks.eliminate, self._files[k], jobs[k], below)
-            )
+            messages.append(self._engine.submit(k, tasks.eliminate, files[k], jobs[k], below))
         roots: list[Message] = self._engine.gather(
             [messages[k] for k, entry in enumerate(pieces) if entry.parent < 0]
         )
@@ -117,7 +112,7 @@ class PartSystem:
             below = [messages[c] for c in pieces[k].children]
             above = solutions[pieces[k].parent] if pieces[k].parent >= 0 else None
             solutions[k] = self._engine.submit(
-                k, tasks.substitute, self._files[k], jobs[k], below, above, target
+                k, tasks.substitute, files[k], jobs[k], below, above, target
             )
         self._pending = {target: solutions}
         sums = _Sums(self._engine, solutions)
@@ -131,14 +126,14 @@ class PartSystem:
         """Return the chi2 that the rounding of coordinates alone makes."""
         jobs = [
             self._engine.submit(k, tasks.rounding, file, poses)
-            for k, file in enumerate(self._files)
+            for k, file in enumerate(self._engine.files())
         ]
         return math.fsum(self._engine.gather(jobs))
 
     @property
     def _down(self) -> range:
         """The pieces, parents before their children."""
-        return range(len(self._files) - 1, -1, -1)
+        return range(len(self._index.pieces) - 1, -1, -1)
 
     def _sum(self, found: list[Linearization]) -> _Known:
         count, d = self._index.separators, self._index.dimension
@@ -173,12 +168,3 @@ class _Sums:
     @property
     def predicted(self) -> float:
         return math.fsum(one.predicted for one in self._found)
-
-
-def files_of(folder: Path, index: Index) -> list[tasks.PieceFile]:
-    """Return where the pieces are, for the workers."""
-    where = str(folder.resolve())
-    return [
-        tasks.PieceFile(where, entry.file, index.graph, entry.hash, entry.memory)
-        for entry in index.pieces
-    ]

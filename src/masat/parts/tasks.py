@@ -24,13 +24,21 @@ from masat.parts.pieces import read_piece
 
 
 class PieceFile(NamedTuple):
-    """Where the file of a piece is, and what it must hold."""
+    """Where the file of a piece is, what it must hold, and what its system takes.
+
+    `memory` are the bytes of the system, `limit` those of all systems that a process may keep.
+    """
 
     folder: str
     name: str
     graph_hash: str
     file_hash: str
     memory: int
+    limit: int
+
+    def __sizeof__(self) -> int:
+        # By this Dask estimates what it costs to move a task away from the system that it needs.
+        return self.memory
 
 
 class Elimination(NamedTuple):
@@ -69,9 +77,7 @@ class _Workspace:
         if self.message is None or self.eliminated != wanted:
             self.eliminated = None
             self.linearize(task.poses)
-            self.message = self.system.eliminate(
-                task.damping, task.floor, task.diagonal, messages
-            )
+            self.message = self.system.eliminate(task.damping, task.floor, task.diagonal, messages)
             self.eliminated = wanted
         return self.message
 
@@ -81,36 +87,33 @@ class _Workspaces:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._held: OrderedDict[PieceFile, _Workspace] = OrderedDict()
-        self._limit: int | None = None
-
-    def limit(self, bytes_: int | None) -> None:
-        """Set how much memory they may take; the one in use is always held."""
-        with self._lock:
-            self._limit = bytes_
-            if bytes_ is not None:
-                self._held.clear()
+        self._held: OrderedDict[tuple[str, str, str], _Workspace] = OrderedDict()
 
     def of(self, file: PieceFile) -> _Workspace:
+        key = file.folder, file.name, file.file_hash
         with self._lock:
-            found = self._held.get(file)
+            found = self._held.get(key)
             if found is not None:
-                self._held.move_to_end(file)
+                self._held.move_to_end(key)
                 return found
-            if self._limit is not None:
-                while self._held and sum(f.memory for f in self._held) + file.memory > self._limit:
-                    self._held.popitem(last=False)
+            # The one that is asked for is held in any case.
+            while self._held and self._memory() + file.memory > file.limit:
+                self._held.popitem(last=False)
         made = _Workspace(file)
         with self._lock:
-            return self._held.setdefault(file, made)
+            return self._held.setdefault(key, made)
+
+    def _memory(self) -> int:
+        return sum(one.file.memory for one in self._held.values())
 
 
 _WORKSPACES = _Workspaces()
 
 
-def limit_memory(bytes_: int | None) -> None:
-    """Set how much memory the systems of this process may take; None for no limit."""
-    _WORKSPACES.limit(bytes_)
+def hold(file: PieceFile) -> PieceFile:
+    """Set up the system of a piece, and return what other tasks find it by."""
+    _WORKSPACES.of(file)
+    return file
 
 
 def linearize(file: PieceFile, poses: str, after: object = None) -> Linearization:

@@ -1,0 +1,155 @@
+"""A map in parts against the same map in one process: chi2, times, and the peak memory of each.
+
+    python -m benchmarks.partition [--world city] [--poses N] [--parts N] [--workers N] [--memory B]
+
+With workers, a Dask LocalCluster solves the parts; with --workers 0 one process solves them one
+after the other, its factors limited to --memory bytes. Needs Linux, for the peaks of memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import masat
+from benchmarks.threads import single_threaded
+from masat.worlds import city, perturb, sphere
+
+_NOISE = {"city": (0.05, 0.05, 0.02), "sphere": (0.05, 0.02)}
+_WORLDS = {"city": city, "sphere": sphere}
+
+
+def main() -> None:
+    """Print a table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--world", choices=_WORLDS, default="city")
+    parser.add_argument("--poses", type=int, default=100_000)
+    parser.add_argument("--parts", type=int, default=8)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--memory", type=int)
+    parser.add_argument("--optimizer", default="gn")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--without-baseline", action="store_true")
+    parser.add_argument("--step", nargs=2, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    single_threaded()
+    if options.step is not None:
+        name, folder = options.step
+        found = _STEPS[name](Path(folder), options)
+        print(json.dumps(found | {"peak": peak()}))
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        print(
+            f"{options.world} of {options.poses} poses, {options.parts} parts, {options.optimizer}"
+        )
+        print(f"{'':<28}{'seconds':>9}{'peak MB':>9}")
+        row("simulate", run("simulate", folder))
+        whole = None
+        if not options.without_baseline:
+            whole = run("whole", folder)
+            row(f"one process, {options.threads} threads", whole)
+        row("partition", run("partition", folder))
+        parted = run("solve", folder)
+        row(f"parts on {options.workers} workers" if options.workers else "parts in turn", parted)
+        for k, worker in enumerate(parted["workers"]):
+            print(f"{f'  worker {k}':<37}{worker / 1e6:>9.0f}")
+        print(f"chi2 {parted['chi2']:.10g} after {parted['iterations']} iterations")
+        if whole is not None:
+            compare(whole, parted)
+
+
+def compare(whole: dict[str, Any], parted: dict[str, Any]) -> None:
+    """Print the ratios."""
+    print(f"chi2 of one process {whole['chi2']:.10g} after {whole['iterations']} iterations")
+    print(f"relative difference of chi2 {abs(parted['chi2'] / whole['chi2'] - 1):.1e}")
+    print(f"time to that of one process {parted['seconds'] / whole['seconds']:.2f}")
+    if parted["workers"]:
+        largest = max(parted["workers"])
+        print(f"peak of the largest worker to that of one process {largest / whole['peak']:.2f}")
+        print(f"peak of the client to that of one process {parted['peak'] / whole['peak']:.2f}")
+    else:
+        print(f"peak to that of one process {parted['peak'] / whole['peak']:.2f}")
+
+
+def run(step: str, folder: str) -> dict[str, Any]:
+    """Run a step in a process of its own."""
+    command = [sys.executable, "-m", "benchmarks.partition", *sys.argv[1:], "--step", step, folder]
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def row(name: str, found: dict[str, Any]) -> None:
+    """Print a row."""
+    print(f"{name:<28}{found['seconds']:>9.2f}{found['peak'] / 1e6:>9.0f}", flush=True)
+
+
+def simulate(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
+    """Write a graph with an initial guess."""
+    begin = perf_counter()
+    graph = perturb(_WORLDS[options.world](options.poses), _NOISE[options.world])
+    masat.write(masat.initialize(graph, "masat"), folder / "graph.g2o")
+    return {"seconds": perf_counter() - begin}
+
+
+def whole(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
+    """Solve the graph in one process."""
+    result = masat.optimize(
+        masat.read(folder / "graph.g2o"), options.optimizer, threads=options.threads
+    )
+    return {"seconds": result.seconds, "chi2": result.chi2, "iterations": result.iterations}
+
+
+def partition(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
+    """Cut the graph into parts."""
+    graph = masat.read(folder / "graph.g2o")
+    begin = perf_counter()
+    masat.partition(graph, folder / "parts", options.parts)
+    return {"seconds": perf_counter() - begin}
+
+
+def solve(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
+    """Solve the parts."""
+    parts = masat.Partition(folder / "parts")
+    if options.workers == 0:
+        result = parts.solve(options.optimizer, memory=options.memory)
+        workers: list[int] = []
+    else:
+        import distributed
+
+        with (
+            distributed.LocalCluster(
+                n_workers=options.workers,
+                threads_per_worker=1,
+                dashboard_address=None,
+                memory_limit=None,
+            ) as cluster,
+            distributed.Client(cluster) as client,
+        ):
+            result = parts.solve(options.optimizer, client=client)
+            workers = sorted(client.run(peak).values())
+    return {
+        "seconds": result.seconds,
+        "chi2": result.chi2,
+        "iterations": result.iterations,
+        "workers": workers,
+    }
+
+
+_STEPS = {"simulate": simulate, "whole": whole, "partition": partition, "solve": solve}
+
+
+def peak() -> int:
+    """Return the largest memory of this process so far, in bytes."""
+    status = Path("/proc/self/status").read_text()
+    return 1024 * int(status.split("VmHWM:")[1].split()[0])
+
+
+if __name__ == "__main__":
+    main()
