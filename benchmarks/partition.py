@@ -124,13 +124,13 @@ def solve(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
         import distributed
 
         with (
-            distributed.LocalCluster(
+            distributed.LocalCluster(  # type: ignore[no-untyped-call]
                 n_workers=options.workers,
                 threads_per_worker=1,
                 dashboard_address=None,
                 memory_limit=None,
             ) as cluster,
-            distributed.Client(cluster) as client,
+            distributed.Client(cluster) as client,  # type: ignore[no-untyped-call]
         ):
             result = parts.solve(options.optimizer, client=client)
             workers = sorted(client.run(peak).values())

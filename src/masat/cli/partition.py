@@ -197,10 +197,10 @@ def tell_status(folder: Path, as_json: bool) -> None:
         click.echo(f"not solved yet: masat solve {folder}")
         return
     done = f"{len(found.history)} iterations of {found.method}"
-    state = f"stopped, {found.reason.lower().replace('_', ' ')}" if found.reason else "not finished"
+    said = f"stopped, {found.reason.lower().replace('_', ' ')}" if found.reason else "not finished"
     show.rows(
         [
-            ("state", f"{state}, after {done}"),
+            ("state", f"{said}, after {done}"),
             ("initial guess", f"{found.init}, chi2 {found.initial_chi2:.6g}"),
             ("lowest chi2", f"{found.chi2:.6g}"),
         ]

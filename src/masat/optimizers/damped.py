@@ -6,7 +6,7 @@ Poses and steps are handed on, never looked into: they may be arrays, or live el
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -42,6 +42,7 @@ class DampedStep(NamedTuple):
     predicted: Callable[[], float]
 
 
+@runtime_checkable
 class DampedSystem(Protocol[Poses]):
     """The equations of a cost, whose steps are damped in proportion to the diagonal of H."""
 
@@ -105,7 +106,7 @@ class LocalSystem(Generic[Poses]):
 
 def damped(equations: Equations | DampedSystem[Any], poses: Any) -> DampedSystem[Any]:
     """Return equations as a damped system, which they may be already."""
-    if hasattr(equations, "damped_step"):
+    if isinstance(equations, DampedSystem):
         return equations
     return LocalSystem(equations, poses)
 

@@ -67,7 +67,7 @@ def dissect(graph: PoseGraph, labels: Ids) -> Dissection:
 
 
 def _numbered(labels: Ids, parts: int, separators: list[tuple[int, int, Ids]]) -> Dissection:
-    """Number the pieces; separators without nodes are left out."""
+    """Return the pieces, numbered; separators without nodes are left out."""
     piece = labels.astype(np.int32)
     kept = [s for s in separators if len(s[2])][::-1]
     parent = [-1] * (parts + len(kept))
@@ -87,10 +87,11 @@ def metis_labels(graph: PoseGraph, parts: int) -> Ids:
     graphs, 1998.
     """
     free = _free(graph)
-    if not 1 <= parts <= max(1, np.count_nonzero(free)):
+    count = int(np.count_nonzero(free))
+    if not 1 <= parts <= count:
         raise PartitionError(
-            f"the number of parts must be from 1 to the number of nodes that are optimized, "
-            f"{np.count_nonzero(free)}; got {parts}"
+            "the number of parts must be from 1 to the number of nodes that are optimized, "
+            f"{count}; got {parts}"
         )
     labels = np.where(free, 0, -1).astype(np.int64)
     if parts == 1:

@@ -81,9 +81,10 @@ class InTurn:
 
 
 class OnCluster:
-    """Runs tasks on the workers of a Dask cluster, each piece on the same one as long as it lives.
+    """Runs tasks on the workers of a Dask cluster.
 
-    Dask runs the tasks of a worker that dies again elsewhere.
+    The system of each piece begins on a worker of its own choice. Dask runs the other tasks where
+    that is, and all tasks of a worker that dies elsewhere.
 
     Parameters
     ----------
@@ -108,21 +109,16 @@ class OnCluster:
 
     def submit(self, piece: int, function: Callable[..., Any], *arguments: Any) -> Any:
         """Return the future of a task about a piece."""
-        return self._client.submit(
-            function,
-            *arguments,
-            workers=[self._home[piece]],
-            allow_other_workers=True,
-            pure=False,
-        )
+        return self._client.submit(function, *arguments, pure=False)
 
     def gather(self, results: Iterable[Any]) -> list[Any]:
-        """Wait for futures; give the pieces of dead workers to the others."""
+        """Wait for futures; choose other workers for the pieces of dead ones."""
         found: list[Any] = self._client.gather(list(results))
         workers = self._workers()
         if workers and not set(self._home) <= set(workers):
             self._home = [
-                h if h in workers else workers[k % len(workers)] for k, h in enumerate(self._home)
+                home if home in workers else workers[k % len(workers)]
+                for k, home in enumerate(self._home)
             ]
             self._files = None
         return found
@@ -134,7 +130,16 @@ class OnCluster:
             for home, entry in zip(self._home, self._index.pieces, strict=True):
                 needed[home] += entry.memory
             files = _files_of(self._folder, self._index, max(needed.values()))
-            self._files = [self.submit(k, hold, file) for k, file in enumerate(files)]
+            self._files = [
+                self._client.submit(
+                    hold, file, workers=[home], allow_other_workers=True, pure=False
+                )
+                for file, home in zip(files, self._home, strict=True)
+            ]
+            self._client.gather(self._files)
+            # A choice of workers that are all dead would be waited for.
+            free = {future.key: None for future in self._files}
+            self._client.sync(self._client.scheduler.set_restrictions, worker=free)
         return self._files
 
     def _workers(self) -> list[str]:

@@ -135,7 +135,7 @@ def initial_guess(
             poses[own[first]] = found.poses[first]
             new[own[first]] = True
         placed |= new
-        turn = [k for k in np.flatnonzero(~complete) if new[separators[k]].any()]
+        turn = [k for k in np.flatnonzero(~complete).tolist() if new[separators[k]].any()]
     if not complete.all() or not placed.all():
         raise PartitionError(
             "the initial guess did not reach all nodes; the partition is damaged: partition the "

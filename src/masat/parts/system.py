@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import secrets
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -51,7 +50,7 @@ class PartSystem:
         self._index, self._engine, self._separators = index, engine, separators
         self._dof = DOF[index.dimension]
         self._known: dict[str, _Known] = {}
-        self._pending: dict[str, list[Any]] = {}
+        self._pending: dict[str, _Step] = {}
         self._at = ""
         self._run, self._count = secrets.token_hex(4), 0
         self.lowest = math.inf
@@ -60,7 +59,8 @@ class PartSystem:
     def chi2(self, poses: str, /) -> float:
         """Return the chi2 at poses, and remember those of the lowest."""
         if poses not in self._known:
-            before = self._pending.pop(poses, [None] * len(self._index.pieces))
+            step = self._pending.pop(poses, None)
+            before = [None] * len(self._index.pieces) if step is None else step.solutions
             files = self._engine.files()
             # From the top down: a piece is linearized just after its poses have been written.
             jobs = [
@@ -68,6 +68,8 @@ class PartSystem:
                 for k in self._down
             ]
             found: list[Linearization] = self._engine.gather(jobs)[::-1]
+            if step is not None:
+                step.finish()
             self._known = {name: self._known[name] for name in self._known if name == self._at}
             self._known[poses] = self._sum(found)
         self.latest = poses
@@ -114,9 +116,9 @@ class PartSystem:
             solutions[k] = self._engine.submit(
                 k, tasks.substitute, files[k], jobs[k], below, above, target
             )
-        self._pending = {target: solutions}
-        sums = _Sums(self._engine, solutions)
-        return DampedStep(target, lambda: sums.length, lambda: sums.predicted)
+        step = _Step(self._engine, solutions)
+        self._pending = {target: step}
+        return DampedStep(target, step.length, step.predicted)
 
     def retract(self, poses: str, step: str, /) -> str:
         """Return the poses after a step."""
@@ -151,20 +153,32 @@ class PartSystem:
         )
 
 
-class _Sums:
-    """Sums over the solutions of all pieces, asked for when they are needed."""
+class _Step:
+    """The solutions of all pieces, and sums over them.
+
+    Once the sums are known the solutions are let go: else a cluster that loses workers would
+    compute again what nobody needs.
+    """
 
     def __init__(self, engine: Engine, solutions: list[Any]) -> None:
-        self._engine, self._solutions = engine, solutions
+        self._engine, self.solutions = engine, solutions
+        self._sums: tuple[float, float] | None = None
 
-    @cached_property
-    def _found(self) -> list[Solution]:
-        return self._engine.gather(self._solutions)
+    def finish(self) -> tuple[float, float]:
+        """Return the squared length and the predicted fall of chi2."""
+        if self._sums is None:
+            found: list[Solution] = self._engine.gather(self.solutions)
+            self.solutions = []
+            self._sums = (
+                math.fsum(one.squared for one in found),
+                math.fsum(one.predicted for one in found),
+            )
+        return self._sums
 
-    @property
     def length(self) -> float:
-        return math.sqrt(math.fsum(one.squared for one in self._found))
+        """Return the length."""
+        return math.sqrt(self.finish()[0])
 
-    @property
     def predicted(self) -> float:
-        return math.fsum(one.predicted for one in self._found)
+        """Return the predicted fall of chi2."""
+        return self.finish()[1]

@@ -22,6 +22,10 @@ from masat.parts.checkpoints import read_poses, write_poses
 from masat.parts.elimination import Linearization, Message, PieceSystem, Solution
 from masat.parts.pieces import read_piece
 
+# A system that is set up again on another worker takes as long as its bytes on the network, and
+# memory twice. Dask is to move a task only if there is much to gain.
+_RELUCTANCE = 10
+
 
 class PieceFile(NamedTuple):
     """Where the file of a piece is, what it must hold, and what its system takes.
@@ -38,7 +42,7 @@ class PieceFile(NamedTuple):
 
     def __sizeof__(self) -> int:
         # By this Dask estimates what it costs to move a task away from the system that it needs.
-        return self.memory
+        return _RELUCTANCE * self.memory
 
 
 class Elimination(NamedTuple):
