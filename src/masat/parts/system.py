@@ -60,7 +60,9 @@ class PartSystem:
         """Return the chi2 at poses, and remember those of the lowest."""
         if poses not in self._known:
             step = self._pending.pop(poses, None)
-            before = [None] * len(self._index.pieces) if step is None else step.solutions
+            before: list[Any] = [None] * len(self._index.pieces)
+            if step is not None and step.solutions:
+                before = step.solutions
             files = self._engine.files()
             # From the top down: a piece is linearized just after its poses have been written.
             jobs = [
