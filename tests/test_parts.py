@@ -10,6 +10,8 @@ from random_graphs import random_graph
 import masat
 from masat import PartitionError, PoseGraph, lie
 from masat._core import Elimination, NormalEquations, Topology
+from masat.formats import streaming
+from masat.formats.streaming import read_mapped
 from masat.optimizers.damped import LocalSystem
 from masat.optimizers.equations import normal_equations
 from masat.parts import tasks
@@ -439,6 +441,37 @@ def test_the_command_line_parts_solves_and_tells(run, tmp_path):
     assert f"stopped, relative change, after {best.iterations} iterations" in text
     code, text, _ = run("solve", folder, "--json", "--restart")
     assert json.loads(text)["converged"]
+
+
+@pytest.mark.parametrize("name", GRAPHS)
+@pytest.mark.parametrize("suffix", [".g2o", ".g2o.gz"])
+def test_a_graph_whose_measurements_stay_on_disk_is_the_same(tmp_path, monkeypatch, name, suffix):
+    monkeypatch.setattr(streaming, "_BLOCK", 1000)
+    path = tmp_path / f"graph{suffix}"
+    masat.write(GRAPHS[name], path)
+    graph, mapped = masat.read(path), read_mapped(path, tmp_path)
+    for attribute in ("ids", "poses", "edges", "measurements", "information", "fixed"):
+        assert np.array_equal(getattr(graph, attribute), getattr(mapped, attribute)), attribute
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("EDGE_SE2 0 1 1 0", r"graph.g2o:2205: "),
+        ("EDGE_SE2 0 1 1 0 0 -1 0 0 1 0 1", r"graph.g2o:2205: edge .* 0 -> 1"),
+        ("EDGE_SE2 0 5000 1 0 0 1 0 0 1 0 1", r"5000, which is not among the nodes"),
+        ("FIX 5000", r"the fixed node 5000 is not in the graph"),
+        ("VERTEX_SE2 0 1 2 3", r"the node id 0 occurs twice"),
+        ("EDGE_PRIOR_SE2_XY 0 1 2 1 0 1", r"holds priors or landmarks"),
+    ],
+)
+def test_errors_of_a_graph_on_disk_name_the_line(tmp_path, monkeypatch, line, message):
+    monkeypatch.setattr(streaming, "_BLOCK", 1000)
+    path = tmp_path / "graph.g2o"
+    masat.write(CITY, path)
+    path.write_text(path.read_text() + line + "\n")
+    with pytest.raises(masat.MasatError, match=message):
+        read_mapped(path, tmp_path)
 
 
 def test_the_command_line_takes_labels_and_refuses_what_does_not_fit(run, tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from contextlib import nullcontext
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import click
@@ -16,6 +17,7 @@ from masat.cli.cluster import connect
 from masat.cli.progress import Iterations
 from masat.errors import PartitionError
 from masat.formats import format_of, write
+from masat.formats.streaming import read_mapped
 from masat.graph import PoseGraph
 from masat.parts import Partition
 from masat.parts import partition as partitioned
@@ -56,10 +58,17 @@ def partition(
     """
     if (parts is None) == (labels is None):
         raise click.UsageError("give either --parts or --labels")
-    graph = options.load(file, file_format, indefinite, quiet or as_json)
-    made = partitioned(
-        graph, out, parts, labels=None if labels is None else _read_labels(labels, graph)
-    )
+    if not out.absolute().parent.is_dir():
+        raise PartitionError(f"{out}: its folder does not exist")
+    with TemporaryDirectory(dir=out.absolute().parent, prefix=f".{out.name[:50]}.") as mapped:
+        # A graph that needs repairs has to be in memory as a whole.
+        if indefinite == "error" and not options.is_saved_result(file):
+            graph = read_mapped(file, Path(mapped), format=file_format)
+        else:
+            graph = options.load(file, file_format, indefinite, quiet or as_json)
+        given = None if labels is None else _read_labels(labels, graph)
+        made = partitioned(graph, out, parts, labels=given)
+        del graph
     if as_json or not quiet:
         describe(made, as_json)
 
