@@ -457,8 +457,8 @@ def test_a_graph_whose_measurements_stay_on_disk_is_the_same(tmp_path, monkeypat
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("EDGE_SE2 0 1 1 0", r"graph.g2o:2205: "),
-        ("EDGE_SE2 0 1 1 0 0 -1 0 0 1 0 1", r"graph.g2o:2205: edge .* 0 -> 1"),
+        ("EDGE_SE2 0 1 1 0", r"graph.g2o:3070: "),
+        ("EDGE_SE2 0 1 1 0 0 -1 0 0 1 0 1", r"graph.g2o:3070: .* first that of edge 1 \(0 -> 1\)"),
         ("EDGE_SE2 0 5000 1 0 0 1 0 0 1 0 1", r"5000, which is not among the nodes"),
         ("FIX 5000", r"the fixed node 5000 is not in the graph"),
         ("VERTEX_SE2 0 1 2 3", r"the node id 0 occurs twice"),

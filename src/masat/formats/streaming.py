@@ -52,8 +52,7 @@ def read_mapped(path: Path, folder: Path, *, format: str | None = None) -> PoseG
     """
     with path.open("rb") as file:
         compressed = file.read(len(_GZIP)) == _GZIP
-    opened = gzip.open(path, "rb") if compressed else path.open("rb")
-    with opened as text:
+    with gzip.open(path, "rb") if compressed else path.open("rb") as text:
         blocks = _blocks(text, path)
         first = next(blocks, b"")
         table = FORMATS[format] if format in FORMATS else recognize(first, path)[0]
