@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +18,8 @@ from masat.parts.checkpoints import GIVEN, write_poses
 from masat.parts.dissection import Dissection, dissect, given_labels, metis_labels
 from masat.parts.elimination import PieceSystem
 from masat.parts.index import Entry, Index
+from masat.parts.ordering import ordered
 from masat.parts.pieces import Piece, hash_of, write_piece
-from masat.structure import eliminate
 
 
 def write_partition(
@@ -149,10 +148,9 @@ class _Cut:
             information=np.ascontiguousarray(graph.information[rows]),
             fixed_poses=self._fixed_poses(fixed),
         )
-        system = PieceSystem(piece)
         if separator:
-            return piece, system
-        return _ordered(piece, system, graph.dof)
+            return piece, PieceSystem(piece)
+        return ordered(piece, graph.dof)
 
     def _within(self, separator: int, nodes: Ids) -> Indices:
         """Return the indices of nodes among the own and boundary nodes of a separator."""
@@ -165,15 +163,6 @@ class _Cut:
         if graph.poses is None:
             return np.tile(lie.identity(graph.dimension), (len(nodes), 1))
         return np.ascontiguousarray(graph.poses[nodes])
-
-
-def _ordered(piece: Piece, system: PieceSystem, dof: int) -> tuple[Piece, PieceSystem]:
-    """Return a part with the order of its elimination."""
-    outside = np.ones(len(piece.ids), np.bool_)
-    outside[: piece.own] = False
-    order: Indices = eliminate(system.topology, outside, dof).order()
-    ordered = replace(piece, order=order)
-    return ordered, PieceSystem(ordered)
 
 
 def _hash(graph: PoseGraph) -> str:
