@@ -23,6 +23,37 @@ struct BlockCholesky::Impl {
     if (!factorized) throw NotFactorized();
     return factor;
   }
+
+  const Multifrontal& whole() const {
+    if (layout.tree().boundary > 0) throw PartOnly();
+    return checked();
+  }
+
+  // Copies right-hand sides into the elimination order and back, groups of `width` columns after
+  // each other.
+  template <class Solve>
+  void permute(std::span<double> rhs, int columns, int width, Solve solve) {
+    const std::vector<std::int32_t>& order = layout.tree().order;
+    const int d = layout.block_size();
+    // The last group is filled up with zeros.
+    permuted.resize(order.size() * d * ((columns + width - 1) / width * width));
+    if (columns % width != 0) std::fill(permuted.begin(), permuted.end(), 0.0);
+    const auto exchange = [&](auto copy) {
+      double* packed = permuted.data();
+      for (int first = 0; first < columns; first += width) {
+        const int count = std::min(width, columns - first);
+        for (const std::int32_t node : order) {
+          double* own = rhs.data() + std::int64_t{node} * d * columns + first;
+          for (int i = 0; i < d; ++i, own += columns, packed += width) {
+            for (int c = 0; c < count; ++c) copy(own[c], packed[c]);
+          }
+        }
+      }
+    };
+    exchange([](double& own, double& packed) { packed = own; });
+    solve(std::span<double>(permuted));
+    exchange([](double& own, double& packed) { own = packed; });
+  }
 };
 
 BlockCholesky::BlockCholesky(const Elimination& elimination, int block_size, int threads) {
@@ -31,9 +62,10 @@ BlockCholesky::BlockCholesky(const Elimination& elimination, int block_size, int
 BlockCholesky::~BlockCholesky() = default;
 
 std::int32_t BlockCholesky::factorize(std::span<const double> values,
-                                      std::span<const double> damping) {
+                                      std::span<const double> damping,
+                                      std::span<const Element> elements) {
   impl_->factorized = false;
-  const std::int32_t failed = impl_->factor.factorize(values, damping);
+  const std::int32_t failed = impl_->factor.factorize(values, damping, elements);
   impl_->factorized = failed < 0;
   return failed < 0 ? -1 : impl_->layout.tree().order[failed];
 }
@@ -55,33 +87,37 @@ bool BlockCholesky::factorized() const { return impl_->factorized; }
 double BlockCholesky::pivot_ratio() const { return impl_->checked().pivot_ratio(); }
 
 void BlockCholesky::solve(std::span<double> rhs, int columns) const {
+  const Multifrontal& factor = impl_->whole();
+  const int width = columns == 1 ? 1 : kernels().width;
+  impl_->permute(rhs, columns, width, [&](std::span<double> x) { factor.solve(x, width); });
+}
+
+void BlockCholesky::reduce(std::span<double> rhs) const {
   const Multifrontal& factor = impl_->checked();
-  const std::vector<std::int32_t>& order = impl_->layout.tree().order;
-  std::vector<double>& permuted = impl_->permuted;
-  const int d = impl_->layout.block_size(), width = columns == 1 ? 1 : kernels().width;
-  // Groups of `width` columns; the last group is filled up with zeros.
-  permuted.resize(order.size() * d * ((columns + width - 1) / width * width));
-  if (columns % width != 0) std::fill(permuted.begin(), permuted.end(), 0.0);
-  const auto exchange = [&](auto copy) {
-    double* packed = permuted.data();
-    for (int first = 0; first < columns; first += width) {
-      const int count = std::min(width, columns - first);
-      for (const std::int32_t node : order) {
-        double* own = rhs.data() + std::int64_t{node} * d * columns + first;
-        for (int i = 0; i < d; ++i, own += columns, packed += width) {
-          for (int c = 0; c < count; ++c) copy(own[c], packed[c]);
-        }
-      }
-    }
-  };
-  exchange([](double& own, double& packed) { packed = own; });
-  factor.solve(permuted, width);
-  exchange([](double& own, double& packed) { own = packed; });
+  impl_->permute(rhs, 1, 1, [&](std::span<double> x) { factor.reduce(x); });
+}
+
+void BlockCholesky::substitute(std::span<double> rhs) const {
+  const Multifrontal& factor = impl_->checked();
+  impl_->permute(rhs, 1, 1, [&](std::span<double> x) { factor.substitute(x); });
+}
+
+std::vector<double> BlockCholesky::contribution() const {
+  const Multifrontal& factor = impl_->checked();
+  std::vector<double> out;
+  if (impl_->layout.tree().boundary == 0) return out;
+  const Front front = factor.front(impl_->layout.fronts() - 1);
+  out.reserve(std::size_t{1} * front.pivots * (front.pivots + 1) / 2);
+  for (std::int32_t j = 0; j < front.pivots; ++j) {
+    const double* const column = front.l11 + j * front.ld11;
+    out.insert(out.end(), column + j, column + front.pivots);
+  }
+  return out;
 }
 
 void BlockCholesky::inverse(std::span<const std::int32_t> rows,
                             std::span<const std::int32_t> columns, double* out) const {
-  invert_blocks(impl_->layout, impl_->checked(), rows, columns, out);
+  invert_blocks(impl_->layout, impl_->whole(), rows, columns, out);
 }
 
 }  // namespace masat

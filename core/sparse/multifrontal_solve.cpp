@@ -9,7 +9,8 @@ namespace masat {
 // A row of blocks has `block` scalars of x. For one right-hand side, `width` and `block` are
 // compile-time constants.
 template <class Width, class Block>
-void Multifrontal::solve_blocks(std::span<double> x, Width width, Block block) const {
+void Multifrontal::solve_blocks(std::span<double> x, Width width, Block block, bool reduce,
+                                bool substitute) const {
   const AssemblyTree& tree = layout_.tree();
   const auto group = static_cast<std::int64_t>(reciprocal_.size()) * width;
   const auto forward = width == 1 ? kernels_.forward : kernels_.forward_wide;
@@ -28,7 +29,8 @@ void Multifrontal::solve_blocks(std::span<double> x, Width width, Block block) c
     if (width > 1) interrupt.add(columns * front.pivots * (front.pivots + front.rows));
   };
 
-  for (std::int32_t f = 0; f < layout_.fronts(); ++f) {
+  for (std::int32_t f = 0; reduce && f < layout_.fronts(); ++f) {
+    if (!tree.is_eliminated(f)) continue;
     const Front front = layout_.front(f, factor_.data());
     poll(front);
     double* const rows = pivots + front.ld11 * width;
@@ -45,7 +47,8 @@ void Multifrontal::solve_blocks(std::span<double> x, Width width, Block block) c
     }
   }
 
-  for (std::int32_t f = layout_.fronts() - 1; f >= 0; --f) {
+  for (std::int32_t f = layout_.fronts() - 1; substitute && f >= 0; --f) {
+    if (!tree.is_eliminated(f)) continue;
     const Front front = layout_.front(f, factor_.data());
     poll(front);
     double* const rows = pivots + front.ld11 * width;
@@ -63,12 +66,16 @@ void Multifrontal::solve_blocks(std::span<double> x, Width width, Block block) c
   }
 }
 
-void Multifrontal::solve(std::span<double> x, int width) const {
-  const int block = layout_.block_size();
-  if (width > 1) return solve_blocks(x, width, block * width);
-  with_block_size(block, [&]<int kSize>() {
-    solve_blocks(x, std::integral_constant<int, 1>{}, std::integral_constant<int, kSize>{});
+void Multifrontal::solve_one(std::span<double> x, bool reduce, bool substitute) const {
+  with_block_size(layout_.block_size(), [&]<int kSize>() {
+    solve_blocks(x, std::integral_constant<int, 1>{}, std::integral_constant<int, kSize>{}, reduce,
+                 substitute);
   });
+}
+
+void Multifrontal::solve(std::span<double> x, int width) const {
+  if (width == 1) return solve_one(x, true, true);
+  solve_blocks(x, width, layout_.block_size() * width, true, true);
 }
 
 }  // namespace masat
