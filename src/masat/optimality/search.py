@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import islice
 
@@ -22,6 +22,7 @@ from masat.optimality.cycles import (
     shifted,
 )
 from masat.optimality.relaxation import Relaxation, lift
+from masat.optimality.splices import differing_parts, spliced
 from masat.optimality.strings import Strings
 from masat.optimality.subgraphs import (
     Subgraph,
@@ -43,8 +44,9 @@ LOWER, NEAR = 1e-7, 1e-8
 _NODE_REACH, _EDGE_REACH, _CYCLE_REACH = 6, 3, 3
 # chi2 above the minimum up to which a trial is optimized further with all nodes free.
 _NEARLY = 5.0
-# A trial ends where this many more steps like the last one would not lower chi2 enough.
-_HOPELESS_STEPS = 40
+# Iterations of a trial after a shift, after a lift, and with all nodes free. A trial ends where the
+# steps that are left, if they were all like the last one, would not lower chi2 enough.
+_SHIFT_ITERATIONS, _LIFT_ITERATIONS, _FREE_ITERATIONS = 30, 50, 50
 # Radians and meters: residuals and coordinates that changed by less are the same as before.
 _SAME_POSE = 0.01
 # A residual that changed by a smaller fraction of itself is the same as before.
@@ -72,6 +74,7 @@ def lower_minimum(
     progress: Progress | None = None,
     equations: _core.NormalEquations | None = None,
     lift_all: bool = False,
+    others: Sequence[Floats] = (),
 ) -> Result:
     """Search for a lower minimum around the parts of the graph where this one is doubtful.
 
@@ -93,6 +96,8 @@ def lower_minimum(
         Those of the graph, to be used again.
     lift_all : bool
         Whether all nodes are lifted even if no ambiguous cycle rotates most of them.
+    others : sequence of ndarray, (n, 3) or (n, 7)
+        Poses at other minima. Where they differ from the one found, their part is tried.
 
     Returns
     -------
@@ -109,7 +114,8 @@ def lower_minimum(
     search = _Search(graph, seed, progress, equations)
     try:
         for _ in range(_MAX_ROUNDS):
-            lower = graph.dimension == 3 and search.at_strings()
+            lower = search.at_differences(others)
+            lower = lower or (graph.dimension == 3 and search.at_strings())
             lower = lower or search.at_uncertified_nodes() or search.at_cycles()
             if progress.over or not (lower or search.at_all_nodes(lift_all)):
                 break
@@ -250,6 +256,15 @@ class _Search:
                 break
         return self.chi2 < first * (1 - LOWER)
 
+    def at_differences(self, others: Sequence[Floats]) -> bool:
+        """Take the parts of other minima that lower chi2; return whether there are any."""
+        first = self.chi2
+        for other in others:
+            self._progress.tell("taking the better parts of two minima", self.chi2)
+            for part in differing_parts(self._graph, self.poses, other):
+                self._try(part, partial(self._splice, other))
+        return self.chi2 < first * (1 - LOWER)
+
     def at_all_nodes(self, always: bool) -> bool:
         """Lift all nodes where that may help and memory allows it; return whether it lowered chi2.
 
@@ -273,13 +288,29 @@ class _Search:
 
     def _lift(self, part: Subgraph) -> Result:
         initial = part.graph.with_poses(lift(part.graph, seed=self._seed))
+        low_enough = part.graph.chi2 + _NEARLY * self._unit
         # Rounded poses lie between minima: one method may end in a lower one than the other.
         return min(
             (
-                optimize(initial, method, relative_tolerance=NEAR, max_iterations=50)
+                optimize(
+                    initial,
+                    method,
+                    relative_tolerance=NEAR,
+                    max_iterations=_LIFT_ITERATIONS,
+                    report=_StopIfHopeless(low_enough, _LIFT_ITERATIONS),
+                )
                 for method in ("dogleg", "levenberg_marquardt")
             ),
             key=lambda result: result.chi2,
+        )
+
+    def _splice(self, other: Floats, part: Subgraph) -> Result:
+        return optimize(
+            part.graph.with_poses(spliced(part, other)),
+            "dogleg",
+            relative_tolerance=NEAR,
+            max_iterations=_SHIFT_ITERATIONS,
+            report=_StopIfHopeless(part.graph.chi2 + _NEARLY * self._unit, _SHIFT_ITERATIONS),
         )
 
     def _shift(
@@ -298,9 +329,9 @@ class _Search:
         return optimize(
             graph.with_poses(solve_translations(loose, turned)),
             "dogleg",
-            max_iterations=30,
+            max_iterations=_SHIFT_ITERATIONS,
             absolute_tolerance=nearly / 500,
-            report=_StopIfHopeless(graph.chi2 + nearly),
+            report=_StopIfHopeless(graph.chi2 + nearly, _SHIFT_ITERATIONS),
         )
 
     def _try(self, nodes: Flags, trial: Trial, nearly: float = _NEARLY) -> bool:
@@ -328,7 +359,7 @@ class _Search:
         lower = self.chi2 * (1 - LOWER)
         if lower <= chi2 < self.chi2 + nearly * self._unit:
             # Nearly as low: with all nodes free it may become lower.
-            free = self._minimum(poses, _StopIfHopeless(lower, chi2))
+            free = self._minimum(poses, _StopIfHopeless(lower, _FREE_ITERATIONS, chi2))
             poses, chi2 = free.poses, free.chi2
         if chi2 < lower:
             self.poses, self.chi2 = poses, chi2
@@ -352,7 +383,7 @@ class _Search:
             self._graph.with_poses(poses),
             "dogleg",
             relative_tolerance=tolerance,
-            max_iterations=50,
+            max_iterations=_FREE_ITERATIONS,
             report=report,
             equations=self._equations,
             progress=self._progress,
@@ -360,18 +391,20 @@ class _Search:
 
 
 class _StopIfHopeless:
-    """Stops an optimizer where many more steps like the last would not bring chi2 low enough.
+    """Stops an optimizer where the steps that are left would not bring chi2 low enough.
 
     A step may gain less than it could while the region of trust adapts: half of what was expected
     before the step counts in its place.
     """
 
-    def __init__(self, low_enough: float, chi2: float = np.inf) -> None:
-        self._low_enough, self._last, self._expected = low_enough, chi2, 0.0
+    def __init__(self, low_enough: float, iterations: int, chi2: float = np.inf) -> None:
+        self._low_enough, self._left, self._last = low_enough, iterations, chi2
+        self._expected = 0.0
 
     def __call__(self, step: Iteration) -> bool:
         """Return whether to stop after an iteration."""
         missing = step.chi2 - self._low_enough
         gained, self._last = self._last - step.chi2, step.chi2
         self._expected = max(min(gained, missing), self._expected / 2)
-        return missing > _HOPELESS_STEPS * self._expected
+        self._left -= 1
+        return missing > self._left * self._expected
