@@ -49,7 +49,5 @@ def auto(
         If the graph cannot be optimized.
     """
     guess = chordal(graph)
-    found = best_minimum(
-        guess, starts=STARTS, seed=seed, progress=progress, equations=equations
-    )
+    found = best_minimum(guess, starts=STARTS, seed=seed, progress=progress, equations=equations)
     return guess.with_poses(found.poses, notes=found.notes)

@@ -25,9 +25,7 @@ def lifted(
     Wu, Mahony, Carlone, Shonan rotation averaging, ECCV 2020. Parameters as of `auto`.
     """
     guess = chordal(graph)
-    found = best_minimum(
-        guess, starts=STARTS, seed=seed, progress=progress, equations=equations
-    )
+    found = best_minimum(guess, starts=STARTS, seed=seed, progress=progress, equations=equations)
     poses = found.poses
     if found.first_is_plausible:
         poses = polish(guess.with_poses(poses))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cached_property, partial
 from itertools import islice
 
 import numpy as np
@@ -39,6 +39,8 @@ from masat.progress import Progress
 # chi2 that is lower by this fraction belongs to another minimum; near a minimum it changes by less
 # than the second fraction from one iteration to the next.
 LOWER, NEAR = 1e-7, 1e-8
+# Minima of several initial guesses whose chi2 differs by a smaller fraction are the same.
+_SAME = 1e-6
 # Edges from a node where the certificate fails, from an edge of an ambiguous cycle, and from the
 # nodes that a shift rotates, within which nodes are lifted.
 _NODE_REACH, _EDGE_REACH, _CYCLE_REACH = 6, 3, 3
@@ -59,6 +61,8 @@ _STRING_REACH, _MAX_FAILURES, _STRING_TOLERANCE = 6, 40, 1e-5
 # Strings after which chi2 that is nearly as low is optimized no further.
 _FIRST = 10
 _MAX_ROUNDS = 20
+# Sets of nodes that have more than this fraction in common are lifted once.
+_SAME_NODES = 0.8
 # Bytes of a factor up to which all nodes are lifted at once: some seconds on one core.
 _MAX_LIFTED_BYTES = 3e8
 # Iterations of Gauss-Newton to the exact minimum, and of the safer and slower dogleg.
@@ -97,7 +101,8 @@ def lower_minimum(
     lift_all : bool
         Whether all nodes are lifted even if no ambiguous cycle rotates most of them.
     others : sequence of ndarray, (n, 3) or (n, 7)
-        Poses at other minima. Where they differ from the one found, their part is tried.
+        Poses at other minima, whose better parts are taken (`splices.py`) before anything is
+        lifted or shifted. If all of them end at the same minimum, no strings are shifted.
 
     Returns
     -------
@@ -113,9 +118,10 @@ def lower_minimum(
     equations = normal_equations(graph) if equations is None else equations
     search = _Search(graph, seed, progress, equations)
     try:
+        agreed = search.combine(others) if others else False
         for _ in range(_MAX_ROUNDS):
-            lower = search.at_differences(others)
-            lower = lower or (graph.dimension == 3 and search.at_strings())
+            lower = search.at_differences(search.others)
+            lower = lower or (graph.dimension == 3 and not agreed and search.at_strings())
             lower = lower or search.at_uncertified_nodes() or search.at_cycles()
             if progress.over or not (lower or search.at_all_nodes(lift_all)):
                 break
@@ -144,6 +150,8 @@ class _Search:
         if graph.poses is None:
             raise OptimizationError("the graph has no poses: there is no minimum to begin at")
         self.poses = graph.poses
+        # Poses at other minima, whose parts are tried after each round.
+        self.others: Sequence[Floats] = ()
         self._graph = graph
         self._seed = seed
         self._progress = progress
@@ -153,8 +161,8 @@ class _Search:
         self._unit = min(1.0, first.reduced_chi2 or 1.0)
         self._relaxation = Relaxation(graph)
         self._cycles = AmbiguousCycles(graph)
-        self._strings = Strings(graph)
         self._most_rotate = False
+        self._lifts_in_vain: list[tuple[float, Flags]] = []
         self._refused: dict[tuple[tuple[int, float], ...], Floats] = {}
         self._cycles_left = max(_MIN_CYCLES, _CYCLE_WORK // len(graph.ids))
         gauge = graph.index(graph.gauge)
@@ -163,6 +171,10 @@ class _Search:
         # The only gauge node of a component may move with the rest, and is put back afterwards.
         self._movable = gauge[count[labels[gauge]] == 1]
         self._fixed = gauge[count[labels[gauge]] > 1]
+
+    @cached_property
+    def _strings(self) -> Strings:
+        return Strings(self._graph)
 
     def converge(self) -> Result:
         """Go to the minimum."""
@@ -220,13 +232,25 @@ class _Search:
             own = np.array([cycle.edge for cycle, _ in shifts])
             by = np.array([2 * np.pi * sign * cycle.axis for cycle, sign in shifts])
             trials: list[Trial] = [partial(self._shift, own, by, cut) for cut in cuts]
-            if self._graph.dimension == 3:
+            if self._graph.dimension == 3 and not self._lifted_in_vain(where):
                 trials.append(self._lift)
             if any(self._try(where, trial) for trial in trials):
                 changed |= edges
             else:
                 self._refused[key] = signed
+                if self._lift in trials:
+                    self._lifts_in_vain.append((self.chi2, where))
         return len(changed) > 0
+
+    def _lifted_in_vain(self, nodes: Flags) -> bool:
+        """Whether nearly the same nodes were lifted at the same minimum, and chi2 did not fall."""
+        for chi2, lifted in self._lifts_in_vain:
+            both = np.count_nonzero(nodes & lifted)
+            if self.chi2 >= chi2 * (1 - LOWER) and both > _SAME_NODES * np.count_nonzero(
+                nodes | lifted
+            ):
+                return True
+        return False
 
     def at_strings(self) -> bool:
         """Shift strings of edges; return whether that lowered chi2."""
@@ -255,6 +279,25 @@ class _Search:
             else:
                 break
         return self.chi2 < first * (1 - LOWER)
+
+    def combine(self, others: Sequence[Floats]) -> bool:
+        """Take the better parts of this minimum and others; return whether all end at the same.
+
+        Each minimum in turn takes the parts of all others that lower its chi2, and then the lowest
+        those of what the others have become.
+        """
+        minima = [self.poses, *others]
+        ends: list[tuple[float, Floats]] = []
+        for poses in minima:
+            self.poses = poses
+            self.converge()
+            self.at_differences([other for other in minima if other is not poses])
+            self.converge()
+            ends.append((self.chi2, self.poses))
+        ends.sort(key=lambda end: end[0])
+        self.chi2, self.poses = ends[0]
+        self.others = [poses for _, poses in ends[1:]]
+        return ends[-1][0] < self.chi2 * (1 + _SAME)
 
     def at_differences(self, others: Sequence[Floats]) -> bool:
         """Take the parts of other minima that lower chi2; return whether there are any."""
