@@ -33,7 +33,7 @@ _EXPENSIVE = 1e10
 # Operations that a search may take in a graph that cannot be right, and those that all other
 # initial guesses may: about a second on one core. Where a search follows, which takes longer than
 # they do, the guesses may take more.
-_AFFORDABLE, _AFFORDABLE_BEFORE_SEARCH = 2e9, 2e11
+_AFFORDABLE, _AFFORDABLE_BEFORE_SEARCH = 5e9, 2e11
 # Trials of a search for each edge, iterations of a trial, and operations that take as long as what
 # Python and NumPy do in an iteration.
 _TRIALS_PER_EDGE, _ITERATIONS, _OVERHEAD = 4, 15, 3e5
