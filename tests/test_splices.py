@@ -8,8 +8,6 @@ from test_search import CHAIN, search_of, two_rings
 import masat
 from masat import lie
 from masat.optimality import best
-from masat.optimality import search as searching
-from masat.optimality.search import lower_minimum
 from masat.optimality.splices import differing_parts, spliced
 from masat.optimality.subgraphs import subgraph
 from masat.worlds import WORLDS, perturb
@@ -48,16 +46,6 @@ def test_a_minimum_elsewhere_is_moved_back_as_a_whole(dimension):
     # Without a border there is nothing to move it to.
     everything = subgraph(graph, graph.poses, np.ones(30, np.bool_))
     assert np.allclose(spliced(everything, other), other)
-
-
-def test_where_all_minima_agree_no_strings_are_shifted(monkeypatch):
-    asked = []
-    monkeypatch.setattr(searching._Search, "at_strings", lambda _: asked.append(1))
-    graph = masat.optimize(random_graph(3, 20, 30, seed=1, noise=0.05)).graph
-    lower_minimum(graph, others=[graph.poses, graph.poses])
-    assert asked == []
-    lower_minimum(graph)
-    assert asked == [1]
 
 
 @pytest.mark.slow

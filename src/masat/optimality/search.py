@@ -39,8 +39,6 @@ from masat.progress import Progress
 # chi2 that is lower by this fraction belongs to another minimum; near a minimum it changes by less
 # than the second fraction from one iteration to the next.
 LOWER, NEAR = 1e-7, 1e-8
-# Minima of several initial guesses whose chi2 differs by a smaller fraction are the same.
-_SAME = 1e-6
 # Edges from a node where the certificate fails, from an edge of an ambiguous cycle, and from the
 # nodes that a shift rotates, within which nodes are lifted.
 _NODE_REACH, _EDGE_REACH, _CYCLE_REACH = 6, 3, 3
@@ -102,7 +100,7 @@ def lower_minimum(
         Whether all nodes are lifted even if no ambiguous cycle rotates most of them.
     others : sequence of ndarray, (n, 3) or (n, 7)
         Poses at other minima, whose better parts are taken (`splices.py`) before anything is
-        lifted or shifted. If all of them end at the same minimum, no strings are shifted.
+        lifted or shifted.
 
     Returns
     -------
@@ -118,10 +116,11 @@ def lower_minimum(
     equations = normal_equations(graph) if equations is None else equations
     search = _Search(graph, seed, progress, equations)
     try:
-        agreed = search.combine(others) if others else False
+        if others:
+            search.combine(others)
         for _ in range(_MAX_ROUNDS):
             lower = search.at_differences(search.others)
-            lower = lower or (graph.dimension == 3 and not agreed and search.at_strings())
+            lower = lower or (graph.dimension == 3 and search.at_strings())
             lower = lower or search.at_uncertified_nodes() or search.at_cycles()
             if progress.over or not (lower or search.at_all_nodes(lift_all)):
                 break
@@ -280,11 +279,12 @@ class _Search:
                 break
         return self.chi2 < first * (1 - LOWER)
 
-    def combine(self, others: Sequence[Floats]) -> bool:
-        """Take the better parts of this minimum and others; return whether all end at the same.
+    def combine(self, others: Sequence[Floats]) -> None:
+        """Take the better parts of this minimum and others.
 
         Each minimum in turn takes the parts of all others that lower its chi2, and then the lowest
-        those of what the others have become.
+        those of what the others have become. That all end at the same minimum does not show
+        that none is lower.
         """
         minima = [self.poses, *others]
         ends: list[tuple[float, Floats]] = []
@@ -297,7 +297,6 @@ class _Search:
         ends.sort(key=lambda end: end[0])
         self.chi2, self.poses = ends[0]
         self.others = [poses for _, poses in ends[1:]]
-        return ends[-1][0] < self.chi2 * (1 + _SAME)
 
     def at_differences(self, others: Sequence[Floats]) -> bool:
         """Take the parts of other minima that lower chi2; return whether there are any."""
