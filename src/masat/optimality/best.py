@@ -33,7 +33,7 @@ _EXPENSIVE = 1e10
 # Operations that a search may take in a graph that cannot be right, and those that all other
 # initial guesses may: about a second on one core. Where a search follows, which takes longer than
 # they do, the guesses may take more.
-_AFFORDABLE, _AFFORDABLE_BEFORE_SEARCH = 5e9, 2e11
+_AFFORDABLE, _AFFORDABLE_BEFORE_SEARCH = 5e9, 1.5e11
 # Trials of a search for each edge, iterations of a trial, and operations that take as long as what
 # Python and NumPy do in an iteration.
 _TRIALS_PER_EDGE, _ITERATIONS, _OVERHEAD = 4, 15, 3e5
@@ -220,15 +220,20 @@ def _minima(
         if progress.over:
             break
         progress.tell("optimizing another initial guess", near.chi2)
-        minima.append(
-            optimize(
-                start(graph),
-                max_iterations=_START_ITERATIONS,
-                relative_tolerance=_START_TOLERANCE,
-                equations=equations,
-                progress=progress,
+        try:
+            minima.append(
+                optimize(
+                    start(graph),
+                    max_iterations=_START_ITERATIONS,
+                    relative_tolerance=_START_TOLERANCE,
+                    equations=equations,
+                    progress=progress,
+                )
             )
-        )
+        except (InitializationError, OptimizationError):
+            continue
+        except KeyboardInterrupt:
+            progress.interrupt()
     return sorted(minima, key=lambda minimum: minimum.chi2)
 
 

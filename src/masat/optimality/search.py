@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from itertools import islice
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -39,6 +39,8 @@ from masat.progress import Progress
 # chi2 that is lower by this fraction belongs to another minimum; near a minimum it changes by less
 # than the second fraction from one iteration to the next.
 LOWER, NEAR = 1e-7, 1e-8
+# Minima whose chi2 differs by a smaller fraction are taken to be the same.
+_SAME_MINIMUM = 1e-6
 # Edges from a node where the certificate fails, from an edge of an ambiguous cycle, and from the
 # nodes that a shift rotates, within which nodes are lifted.
 _NODE_REACH, _EDGE_REACH, _CYCLE_REACH = 6, 3, 3
@@ -287,16 +289,22 @@ class _Search:
         that none is lower.
         """
         minima = [self.poses, *others]
-        ends: list[tuple[float, Floats]] = []
-        for poses in minima:
-            self.poses = poses
-            self.converge()
-            self.at_differences([other for other in minima if other is not poses])
-            self.converge()
-            ends.append((self.chi2, self.poses))
-        ends.sort(key=lambda end: end[0])
-        self.chi2, self.poses = ends[0]
-        self.others = [poses for _, poses in ends[1:]]
+        ends = [(self.chi2, self.poses)]
+        try:
+            for poses in minima:
+                self.poses = poses
+                self.converge()
+                self.at_differences([other for other in minima if other is not poses])
+                self.converge()
+                ends.append((self.chi2, self.poses))
+        finally:
+            ends.sort(key=lambda end: end[0])
+            self.chi2, self.poses = ends[0]
+        self.others = [
+            poses
+            for (lower, _), (chi2, poses) in pairwise(ends)
+            if chi2 > lower * (1 + _SAME_MINIMUM)
+        ]
 
     def at_differences(self, others: Sequence[Floats]) -> bool:
         """Take the parts of other minima that lower chi2; return whether there are any."""
