@@ -26,11 +26,13 @@ import numpy as np
 import masat
 from masat import lie
 from masat.arrays import Floats
+from masat.worlds.landmarks import ranges_and_bearings
 
 # A map of the default tolerance may exceed the batch optimum by this fraction of chi2, and by this
 # much for each edge where measurements agree nearly exactly.
 MAX_EXCESS, NEGLIGIBLE = 1e-2, 1e-6
 _FAR = 1e9  # meters
+_REACH = 10.0  # meters, of what sees landmarks
 
 
 def digest(poses: Floats) -> bytes:
@@ -38,12 +40,18 @@ def digest(poses: Floats) -> bytes:
     return hashlib.blake2b(poses.tobytes(), digest_size=16).digest()
 
 
+def poses_of(core: Any) -> Floats:
+    """Return the poses of a core's map, without its landmarks."""
+    poses: Floats = core.poses()[~core.points()][1:]
+    return poses
+
+
 class RecordingCore:
     """The core of a map that keeps a digest of each state that it shows to readers."""
 
     def __init__(self, core: Any) -> None:
         self._core = core
-        self.states = [digest(core.poses()[1:])]
+        self.states = [digest(poses_of(core))]
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._core, name)
@@ -51,18 +59,18 @@ class RecordingCore:
     def update(self, budget: float) -> Any:
         """Update the map and record its state."""
         done = self._core.update(budget)
-        self.states.append(digest(self._core.poses()[1:]))
+        self.states.append(digest(poses_of(self._core)))
         return done
 
     def fill(self, **contents: Any) -> None:
         """Fill the map and record its state."""
         self._core.fill(**contents)
-        self.states.append(digest(self._core.poses()[1:]))
+        self.states.append(digest(poses_of(self._core)))
 
     def set_poses(self, poses: Floats) -> None:
         """Move the map and record its state."""
         self._core.set_poses(poses)
-        self.states.append(digest(self._core.poses()[1:]))
+        self.states.append(digest(poses_of(self._core)))
 
 
 class RecordedMap(masat.OnlineMap):
@@ -125,6 +133,9 @@ class Readers:
         some = random.choice(ids, 3)
         check_poses(np.stack([world.pose(int(node)) for node in some]))
         what = random.random()
+        points = world.points
+        assert points.shape[1] == world.dimension
+        assert np.isfinite(points).all()
         if what < 0.2:
             assert np.isfinite(world.chi2)
         elif what < 0.4:
@@ -172,6 +183,7 @@ class Writer:
         """Begin another map."""
         self.watch(RecordedMap(self.dimension))
         self.truth: dict[int, Floats] = {}
+        self.points: dict[int, Floats] = {}
         self.ids: list[int] = []  # of the last complete state, then those that wait
         self.complete_ids = 0
         self.edges: dict[int, tuple[int, int]] = {}  # of the last complete state
@@ -188,6 +200,7 @@ class Writer:
         kinds: list[tuple[float, Callable[[], None]]] = [
             (0.20, self.add_pose),
             (0.27, self.add_edges),
+            (0.10, self.add_observations),
             (0.10, self.remove_edges),
             (0.12, self.fail),
             (0.24, self.update),
@@ -242,8 +255,36 @@ class Writer:
         if len(self.ids) > 1:
             self.add(self.pairs(int(self.random.integers(1, 4))))
 
+    def add_observations(self) -> None:
+        """Let a pose see a landmark as a position, a range and a bearing, or a bearing alone."""
+        if not self.ids:
+            return
+        d, pose = self.dimension, self.ids[-1 - int(self.random.geometric(0.2)) % len(self.ids)]
+        near = [k for k, at in self.points.items() if self.distance(pose, at) < _REACH]
+        if not near or self.random.random() < 0.2:
+            point = int(self.random.integers(-(2**62), 2**62))
+            self.points[point] = self.truth[pose][:d] + self.random.normal(0, 2, d)
+        else:
+            point = int(self.random.choice(near))
+        there = lie.identity(d)[None]
+        there[0, :d] = self.points[point]
+        seen = lie.between(self.truth[pose][None], there)[:, :d]
+        kind = self.random.integers(3)
+        w = 1000.0 * np.eye(d)
+        w[0, 0] *= kind < 2
+        noise = 0.02 * self.random.normal(size=seen.shape)
+        z = seen + noise if kind == 0 else ranges_and_bearings(seen, noise)
+        numbers = self.world.add_observations(
+            masat.landmarks([(pose, point)], z, w, range_bearing=bool(kind))
+        )
+        self.added[int(numbers[0])] = (pose, point)
+
+    def distance(self, pose: int, point: Floats) -> float:
+        """Return how far a pose is from a landmark."""
+        return float(np.linalg.norm(self.truth[pose][: self.dimension] - point))
+
     def remove_edges(self) -> None:
-        """Remove some edges, which may wait themselves."""
+        """Remove some edges or observations, which may wait themselves."""
         numbers = [n for n in [*self.edges, *self.added] if n not in self.removed]
         if len(numbers) > 2:
             some = self.random.choice(numbers, min(2, len(numbers)), replace=False).tolist()
@@ -266,6 +307,8 @@ class Writer:
             lambda: w.covariances([5]),
             lambda: w.pose(5),
             lambda: w.relative_covariances([(node, 5)]),
+            lambda: w.add_observations(masat.landmarks([(5, 6)], np.zeros((1, self.dimension)))),
+            lambda: w.point(5),
             lambda: w.update(budget=np.nan),
             lambda: w.update(budget=-1.0),
         ]
@@ -314,8 +357,13 @@ class Writer:
         """Assert that the map holds the nodes and edges of the account."""
         assert self.world.ids.tolist() == self.ids[: self.complete_ids]
         if self.complete_ids:
-            edges = [self.edges[number] for number in sorted(self.edges)]
-            assert self.world.graph().edges.tolist() == [list(pair) for pair in edges]
+            graph = self.world.graph()
+            pairs = [self.edges[number] for number in sorted(self.edges)]
+            assert graph.edges.tolist() == [list(p) for p in pairs if p[1] not in self.points]
+            waiting = set(self.world.waiting_observations.tolist())
+            held = 0 if graph.landmarks is None else len(graph.landmarks.observations)
+            assert held + len(waiting) == sum(pair[1] in self.points for pair in pairs)
+            assert waiting <= set(self.edges)
 
     def update_in_vain(self) -> None:
         """Add what an update cannot solve: what waited is forgotten, and all else is as before."""

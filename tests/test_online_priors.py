@@ -157,7 +157,6 @@ def test_an_update_that_cannot_be_done_forgets_priors_as_well():
     [
         (lambda: masat.gps([99], [(0, 0)], 1.0), "node 99, which has not been added"),
         (lambda: masat.gps([0], [(0, 0, 0)], 1.0), "the map is 2D, and the priors are 3D"),
-        (lambda: masat.gps([0], [(0, 0)], 1.0, lever_arm=(1, 0)), "sensor offsets"),
         (lambda: [(0, 0)], "made by masat.gps"),
     ],
 )

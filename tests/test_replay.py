@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import masat
-from masat import GraphError, worlds
+from masat import worlds
 from masat.online.stream import replay, steps
 
 
@@ -18,7 +18,7 @@ def graph():
 
 def test_each_pose_arrives_with_its_edges_to_earlier_ones_odometry_first(graph):
     seen, known = [], set()
-    for node, edges, _ in steps(graph):
+    for node, edges, _, _ in steps(graph):
         known.add(node)
         for edge in edges:
             assert set(graph.edges[edge].tolist()) <= known
@@ -43,10 +43,16 @@ def test_priors_arrive_with_their_poses(graph):
     assert arrived == {0: [0], 5: [1, 2]}
 
 
-def test_landmarks_are_refused(graph):
-    seen = graph.with_landmarks(masat.landmarks([(0, 10_000)], [(1, 1)]))
-    with pytest.raises(GraphError, match="no landmarks yet"):
-        replay(seen)
+def test_landmarks_arrive_with_the_poses_that_see_them(graph):
+    seen = masat.landmarks([(7, 900), (5, 900), (7, 901)], [(1, 1)] * 3, ids=[900, 901, 902])
+    # Nothing sees landmark 902, and 900 is seen by pose 5 before its fix can arrive.
+    fixes = masat.gps([900, 902, 3], [(0, 0)] * 3, 1.0)
+    with_landmarks = graph.with_landmarks(seen).with_priors(fixes)
+    arrived = list(steps(with_landmarks))
+    observations = {s.node: s.observations.tolist() for s in arrived if len(s.observations)}
+    assert observations == {5: [1], 7: [0, 2]}
+    assert {s.node: s.priors.tolist() for s in arrived if len(s.priors)} == {3: [2], 5: [0]}
+    assert replay(with_landmarks).map.point_ids.tolist() == [900, 901]
 
 
 def test_the_command_prints_times_and_writes_map_and_film(run, tmp_path):
@@ -85,3 +91,24 @@ def test_a_film_of_another_kind_is_refused_before_the_work_begins(graph, run, tm
     code, _, err = run("replay", "in.g2o", "--film", "film.avi")
     assert code == 2
     assert "a film is a .gif or a .mp4" in err
+
+
+def test_the_command_writes_landmarks(run, tmp_path):
+    truth = worlds.manhattan(40, 60, seed=2)
+    world = worlds.perturb(truth, (0.05, 0.05, 0.03), seed=1).with_poses(truth.poses)
+    graph = worlds.add_landmarks(world, 8, seed=1).with_fixed([])
+    fixes = masat.gps([0, 20, 39], truth.poses[[0, 20, 39], :2] + 100, 0.1)
+    graph = graph.with_priors(fixes)
+    masat.write(graph, tmp_path / "in.g2o")
+    code, out, _ = run("replay", "in.g2o", "-o", "out.g2o")
+    assert code == 0
+    assert "3 priors" in out
+    assert "observations of 8 landmarks" in out
+    written = masat.read(tmp_path / "out.g2o")
+    assert written.points.shape == (8, 2)
+    assert written.chi2 == pytest.approx(masat.solve(graph).chi2, rel=1e-4)
+    assert "waiting  " not in out
+    masat.write(graph.with_priors(fixes.rows([0])), tmp_path / "one.g2o")
+    code, out, _ = run("replay", "one.g2o")
+    assert code == 0
+    assert "waiting  1 prior that does not determine yet" in out

@@ -14,7 +14,7 @@ from masat.robust import decide
 from masat.robust.closures import Closures
 from masat.robust.objective import cost, price
 from masat.robust.prediction import agreement, predict
-from masat.worlds import manhattan, perturb, sphere
+from masat.worlds import city, manhattan, perturb, sphere
 from masat.worlds.false_closures import add_false_closures
 
 
@@ -41,6 +41,15 @@ def test_false_closures_are_rejected_and_true_ones_kept(kind, world):
     assert (kept | false).mean() > 0.99
     plain = masat.solve(graph.without_edges(~kept[: len(graph.edges)]))
     assert np.isclose(result.chi2, plain.chi2, rtol=1e-6)
+
+
+@pytest.mark.parametrize("fraction", [0.2, 0.4])
+def test_a_false_group_that_was_believed_early_is_found_by_the_rest(fraction):
+    graph = perturb(city(1000, seed=0), (0.1, 0.1, 0.05), seed=0)
+    spoiled, false = add_false_closures(graph, "alias", fraction, seed=0)
+    kept = decide(spoiled).kept
+    assert not (kept & false).any()
+    assert (kept | false).mean() > 0.99
 
 
 KITTI = ["00_alpha_0.00", "00_alpha_0.25", "00_alpha_0.50", "00_alpha_1.00", "05_alpha_0.00",

@@ -1,8 +1,10 @@
 // The normal equations of the optimizers.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/unique_ptr.h>
+#include <nanobind/stl/vector.h>
 
 #include <cstddef>
 #include <cstdint>
@@ -23,6 +25,8 @@ namespace masat {
 namespace {
 
 using namespace nb::literals;
+
+using ElementArrays = std::pair<Vector<std::int32_t>, Vector<double>>;
 
 // Keeps alive what the equations refer to.
 template <class Group>
@@ -53,8 +57,9 @@ std::unique_ptr<NormalEquations> make_equations(nb::handle_t<Topology> topology,
   const Topology& graph = *nb::inst_ptr<Topology>(topology);
   const std::size_t m = graph.edges().size();
   require(measurements.shape(0) == m && information.shape(0) == m, "one row an edge");
+  // That of a part has further edges, to its elements.
   require(
-      elimination->nodes() == graph.nodes() && elimination->edges() == static_cast<std::int64_t>(m),
+      elimination->nodes() == graph.nodes() && elimination->edges() >= static_cast<std::int64_t>(m),
       "the elimination must be of the same graph");
   nb::object owner = nb::borrow(topology);
   if (offsets || range_bearing) {
@@ -87,6 +92,35 @@ Array<double> step_of(NormalEquations& equations) {
     equations.solve(step.data());
   }
   return as_array(std::move(step));
+}
+
+// Factorizes; each element is a pair of node indices, among the free ones, and a packed block.
+std::int32_t factorize(NormalEquations& equations, const Vector<double>& damping,
+                       const std::vector<ElementArrays>& given) {
+  require(damping.shape(0) == unknowns(equations), "damping must have an entry an unknown");
+  std::vector<Element> elements;
+  for (const auto& [nodes, block] : given) {
+    const std::size_t scalars = nodes.shape(0) * equations.dof();
+    require(block.shape(0) == scalars * (scalars + 1) / 2, "an element is a packed triangle");
+    elements.push_back({span_of(nodes), block.data()});
+  }
+  require(static_cast<std::int32_t>(elements.size()) ==
+              equations.elimination().tree().interface.elements,
+          "one block an element");
+  nb::gil_scoped_release release;
+  return equations.factorize(span_of(damping), elements);
+}
+
+// A copy of a vector with an entry an unknown, changed by `change` without the interpreter's lock.
+template <class Change>
+Array<double> changed(const NormalEquations& equations, const Vector<double>& v, Change change) {
+  require(v.shape(0) == unknowns(equations), "the vector must have an entry an unknown");
+  std::vector<double> out(v.data(), v.data() + v.shape(0));
+  {
+    nb::gil_scoped_release release;
+    change(std::span<double>(out));
+  }
+  return as_array(std::move(out));
 }
 
 Array<double> moved(const NormalEquations& equations, const Table<double>& poses,
@@ -206,16 +240,22 @@ void bind_equations(nb::module_& m) {
             return as_array(std::move(out));
           },
           "v"_a)
-      .def(
-          "factorize",
-          [](NormalEquations& e, const Vector<double>& damping) {
-            require(damping.shape(0) == unknowns(e), "damping must have an entry an unknown");
-            nb::gil_scoped_release release;
-            return e.factorize(span_of(damping));
-          },
-          "damping"_a)
+      .def("factorize", &factorize, "damping"_a, "elements"_a = std::vector<ElementArrays>())
       .def("pivot_ratio", &NormalEquations::pivot_ratio)
       .def("solve", &step_of)
+      .def("contribution", [](const NormalEquations& e) { return as_array(e.contribution()); })
+      .def(
+          "reduce",
+          [](const NormalEquations& e, const Vector<double>& rhs) {
+            return changed(e, rhs, [&](std::span<double> x) { e.reduce(x); });
+          },
+          "rhs"_a)
+      .def(
+          "substitute",
+          [](const NormalEquations& e, const Vector<double>& x) {
+            return changed(e, x, [&](std::span<double> v) { e.substitute(v); });
+          },
+          "x"_a)
       .def(
           "inverse",
           [](const NormalEquations& e, const Vector<std::int32_t>& rows,

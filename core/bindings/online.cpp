@@ -19,9 +19,39 @@ namespace {
 
 using namespace nb::literals;
 
-bool add_node(OnlineMap& map, std::int64_t id, const std::optional<Vector<double>>& pose) {
+template <class T, class A>
+std::vector<T> copied(const A& array) {
+  return {array.data(), array.data() + array.size()};
+}
+
+// Flags as the core returns them.
+Array<bool> as_flags(std::vector<std::uint8_t>&& flags) {
+  static_assert(sizeof(bool) == 1);
+  auto* const owned = new std::vector<std::uint8_t>(std::move(flags));
+  nb::capsule owner(owned,
+                    [](void* p) noexcept { delete static_cast<std::vector<std::uint8_t>*>(p); });
+  return Array<bool>(reinterpret_cast<bool*>(owned->data()), {owned->size()}, owner);
+}
+
+bool add_node(OnlineMap& map, std::int64_t id, const std::optional<Vector<double>>& pose,
+              bool is_point) {
   if (pose) require(pose->shape(0) == static_cast<std::size_t>(map.pose_size()), "size of a pose");
-  return map.add_node(id, pose ? pose->data() : nullptr);
+  return map.add_node(id, pose ? pose->data() : nullptr, is_point);
+}
+
+SensorEdges sensor_edges(const OnlineMap& map, const Table<std::int32_t>& ends,
+                         const Table<double>& measurements, const Stack& information,
+                         const Table<double>& offsets, const Vector<bool>& range_bearing) {
+  const std::size_t m = ends.shape(0), s = map.pose_size(), d = map.dof();
+  require(ends.shape(1) == 2 && measurements.size() == m * s && information.size() == m * d * d &&
+              offsets.size() == m * s && range_bearing.shape(0) == m,
+          "one row an edge");
+  return {{},
+          copied<std::int32_t>(ends),
+          copied<double>(measurements),
+          copied<double>(information),
+          copied<double>(offsets),
+          copied<std::uint8_t>(range_bearing)};
 }
 
 bool add_edges(OnlineMap& map, const Table<std::int64_t>& pairs, const Table<double>& measurements,
@@ -36,17 +66,21 @@ bool add_edges(OnlineMap& map, const Table<std::int64_t>& pairs, const Table<dou
                        numbers ? numbers->data() : nullptr);
 }
 
-bool add_priors(OnlineMap& map, const Vector<std::int32_t>& nodes,
-                const Table<double>& measurements, const Stack& information,
-                const std::optional<Vector<std::int64_t>>& numbers) {
-  const std::size_t m = nodes.shape(0), d = static_cast<std::size_t>(map.dof());
-  require(measurements.size() == m * static_cast<std::size_t>(map.pose_size()) &&
-              information.size() == m * d * d && (!numbers || numbers->shape(0) == m),
-          "one row a prior");
+bool add_sensor_edges(OnlineMap& map, const Table<std::int32_t>& ends,
+                      const Table<double>& measurements, const Stack& information,
+                      const Table<double>& offsets, const Vector<bool>& range_bearing,
+                      const std::optional<Vector<bool>>& may_place,
+                      const std::optional<Vector<std::int64_t>>& numbers) {
+  SensorEdges edges = sensor_edges(map, ends, measurements, information, offsets, range_bearing);
+  const std::size_t m = ends.shape(0);
+  require((!may_place || may_place->shape(0) == m) && (!numbers || numbers->shape(0) == m),
+          "one flag and one number an edge");
   // They may be on nodes that wait for the next update.
-  for (const std::int32_t k : span_of(nodes)) require(k > 0, "node out of range");
-  return map.add_priors(span_of(nodes), measurements.data(), information.data(),
-                        numbers ? numbers->data() : nullptr);
+  for (std::size_t k = 0; k < m; ++k) {
+    require(edges.ends[2 * k] >= 0 && edges.ends[2 * k + 1] > 0, "node out of range");
+  }
+  if (numbers) edges.numbers = copied<std::int64_t>(*numbers);
+  return map.add_sensor_edges(edges, may_place ? span_of(*may_place) : std::span<const bool>());
 }
 
 nb::tuple update(OnlineMap& map, double budget) {
@@ -141,39 +175,41 @@ nb::dict contents_of(const OnlineMap& map) {
   out["edges"] = as_array(std::move(c.pairs), {m, 2});
   out["measurements"] = as_array(std::move(c.measurements), {m, s});
   out["information"] = as_array(std::move(c.information), {m, d, d});
-  const std::size_t p = c.prior_numbers.size();
-  out["prior_numbers"] = as_array(std::move(c.prior_numbers));
-  out["prior_ids"] = as_array(std::move(c.prior_ids));
-  out["prior_measurements"] = as_array(std::move(c.prior_measurements), {p, s});
-  out["prior_information"] = as_array(std::move(c.prior_information), {p, d, d});
+  SensorEdges& others = c.sensor_edges;
+  const std::size_t p = others.numbers.size();
+  out["points"] = as_flags(std::move(c.points));
+  out["sensor_numbers"] = as_array(std::move(others.numbers));
+  out["sensor_ends"] = as_array(std::move(others.ends), {p, 2});
+  out["sensor_measurements"] = as_array(std::move(others.measurements), {p, s});
+  out["sensor_information"] = as_array(std::move(others.information), {p, d, d});
+  out["sensor_offsets"] = as_array(std::move(others.offsets), {p, s});
+  out["sensor_range_bearing"] = as_flags(std::move(others.range_bearing));
   out["next_edge"] = c.next_edge;
   return out;
 }
 
-template <class T, class A>
-std::vector<T> copied(const A& array) {
-  return {array.data(), array.data() + array.size()};
-}
-
-void fill(OnlineMap& map, const Vector<std::int64_t>& ids, const Table<double>& poses,
-          const Table<double>& linearized, const Vector<std::int32_t>& roots,
-          const Vector<std::int64_t>& numbers, const Table<std::int64_t>& edges,
-          const Table<double>& measurements, const Stack& information,
-          const Vector<std::int64_t>& prior_numbers, const Vector<std::int64_t>& prior_ids,
-          const Table<double>& prior_measurements, const Stack& prior_information,
-          std::int64_t next_edge) {
-  const std::size_t n = ids.shape(0), m = numbers.shape(0), p = prior_numbers.shape(0);
+void fill(OnlineMap& map, const Vector<std::int64_t>& ids, const Vector<bool>& points,
+          const Table<double>& poses, const Table<double>& linearized,
+          const Vector<std::int32_t>& roots, const Vector<std::int64_t>& numbers,
+          const Table<std::int64_t>& edges, const Table<double>& measurements,
+          const Stack& information, const Vector<std::int64_t>& sensor_numbers,
+          const Table<std::int32_t>& sensor_ends, const Table<double>& sensor_measurements,
+          const Stack& sensor_information, const Table<double>& sensor_offsets,
+          const Vector<bool>& sensor_range_bearing, std::int64_t next_edge) {
+  const std::size_t n = ids.shape(0), m = numbers.shape(0);
   const std::size_t s = map.pose_size(), d = map.dof();
-  require(map.nodes() == 1 && poses.size() == n * s && linearized.size() == n * s &&
-              roots.shape(0) == n && edges.size() == 2 * m && measurements.size() == m * s &&
-              information.size() == m * d * d && prior_ids.shape(0) == p &&
-              prior_measurements.size() == p * s && prior_information.size() == p * d * d,
+  SensorEdges others = sensor_edges(map, sensor_ends, sensor_measurements, sensor_information,
+                                    sensor_offsets, sensor_range_bearing);
+  others.numbers = copied<std::int64_t>(sensor_numbers);
+  require(map.nodes() == 1 && points.shape(0) == n && poses.size() == n * s &&
+              linearized.size() == n * s && roots.shape(0) == n && edges.size() == 2 * m &&
+              measurements.size() == m * s && information.size() == m * d * d &&
+              2 * others.numbers.size() == others.ends.size(),
           "contents of a map");
-  map.fill({copied<std::int64_t>(ids), copied<double>(poses), copied<double>(linearized),
-            copied<std::int32_t>(roots), copied<std::int64_t>(numbers), copied<std::int64_t>(edges),
-            copied<double>(measurements), copied<double>(information),
-            copied<std::int64_t>(prior_numbers), copied<std::int64_t>(prior_ids),
-            copied<double>(prior_measurements), copied<double>(prior_information), next_edge});
+  map.fill({copied<std::int64_t>(ids), copied<std::uint8_t>(points), copied<double>(poses),
+            copied<double>(linearized), copied<std::int32_t>(roots), copied<std::int64_t>(numbers),
+            copied<std::int64_t>(edges), copied<double>(measurements), copied<double>(information),
+            std::move(others), next_edge});
 }
 
 }  // namespace
@@ -189,11 +225,29 @@ void bind_online(nb::module_& m) {
   });
   nb::class_<OnlineMap>(m, "OnlineMap")
       .def(nb::new_(&make_online_map), "dimension"_a, "tolerance"_a)
-      .def("add_node", &add_node, "node"_a, "pose"_a = nb::none())
+      .def("add_node", &add_node, "node"_a, "pose"_a = nb::none(), "is_point"_a = false)
       .def("add_edges", &add_edges, "edges"_a, "measurements"_a, "information"_a,
            "numbers"_a = nb::none())
-      .def("add_priors", &add_priors, "nodes"_a, "measurements"_a, "information"_a,
-           "numbers"_a = nb::none())
+      .def("add_sensor_edges", &add_sensor_edges, "ends"_a, "measurements"_a, "information"_a,
+           "offsets"_a, "range_bearing"_a, "may_place"_a = nb::none(), "numbers"_a = nb::none())
+      .def("left_out", [](const OnlineMap& map) { return as_array(map.left_out()); })
+      .def(
+          "place_point",
+          [](OnlineMap& map, std::int32_t node, const Vector<double>& pose) {
+            require(node > 0 && node < map.nodes() &&
+                        pose.shape(0) == static_cast<std::size_t>(map.pose_size()),
+                    "a point of the map");
+            map.place_point(node, pose.data());
+          },
+          "node"_a, "pose"_a)
+      .def(
+          "is_point",
+          [](const OnlineMap& map, std::int64_t id) {
+            const std::int32_t node = map.find(id);
+            return node > 0 && map.is_point(node);
+          },
+          "node"_a)
+      .def("points", [](const OnlineMap& map) { return as_flags(map.points()); })
       .def("roots", [](const OnlineMap& map) { return as_array(map.roots()); })
       .def(
           "remove_edges",
@@ -205,6 +259,8 @@ void bind_online(nb::module_& m) {
       .def("find", &OnlineMap::find, "node"_a)
       .def("update", &update, "budget"_a)
       .def("nodes", &OnlineMap::nodes)
+      .def("has_sensor_edges", &OnlineMap::has_sensor_edges)
+      .def("point_count", &OnlineMap::point_count)
       .def("chi2", &OnlineMap::chi2)
       .def("poses", &poses_of)
       .def("pose", &pose_of, "node"_a)
@@ -250,9 +306,10 @@ void bind_online(nb::module_& m) {
           },
           "numbers"_a)
       .def("contents", &contents_of)
-      .def("fill", &fill, "ids"_a, "poses"_a, "linearized"_a, "roots"_a, "edge_numbers"_a,
-           "edges"_a, "measurements"_a, "information"_a, "prior_numbers"_a, "prior_ids"_a,
-           "prior_measurements"_a, "prior_information"_a, "next_edge"_a);
+      .def("fill", &fill, "ids"_a, "points"_a, "poses"_a, "linearized"_a, "roots"_a,
+           "edge_numbers"_a, "edges"_a, "measurements"_a, "information"_a, "sensor_numbers"_a,
+           "sensor_ends"_a, "sensor_measurements"_a, "sensor_information"_a, "sensor_offsets"_a,
+           "sensor_range_bearing"_a, "next_edge"_a);
 }
 
 }  // namespace masat

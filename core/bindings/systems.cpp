@@ -37,7 +37,8 @@ using namespace nb::literals;
 using AnyArray = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 
 std::shared_ptr<Elimination> make_elimination(const Topology& graph, const Vector<bool>& fixed,
-                                              const Vector<std::int32_t>& order) {
+                                              const Vector<std::int32_t>& order,
+                                              std::int32_t boundary, std::int32_t elements) {
   require(fixed.shape(0) == static_cast<std::size_t>(graph.nodes()), "one flag a node");
   std::vector<bool> seen(order.shape(0));
   for (const std::int32_t k : span_of(order)) {
@@ -48,8 +49,12 @@ std::shared_ptr<Elimination> make_elimination(const Topology& graph, const Vecto
   const auto free = std::count(fixed.data(), fixed.data() + fixed.shape(0), false);
   require(seen.empty() || static_cast<std::ptrdiff_t>(seen.size()) == free,
           "the order must name each free node once");
+  require(boundary >= 0 && elements >= 0 && boundary + elements <= free &&
+              (boundary + elements == 0 || !seen.empty()),
+          "boundary and elements are some of the free nodes, in a given order");
   nb::gil_scoped_release release;
-  return std::make_shared<Elimination>(graph, span_of(fixed), span_of(order));
+  return std::make_shared<Elimination>(graph, span_of(fixed), span_of(order),
+                                       Interface{boundary, elements});
 }
 
 // The neighbors of each free node as compressed rows, by indices among the free nodes.
@@ -165,13 +170,22 @@ nb::tuple solved_translations(const Topology& graph, GraphMatrix& matrix,
 
 void bind_systems(nb::module_& m) {
   nb::class_<Elimination>(m, "Elimination")
-      .def(nb::new_(&make_elimination), "topology"_a, "fixed"_a, "order"_a)
+      .def(nb::new_(&make_elimination), "topology"_a, "fixed"_a, "order"_a, "boundary"_a = 0,
+           "elements"_a = 0)
       .def("free_nodes",
            [](const Elimination& e) {
              return as_array(
                  std::vector<std::int32_t>(e.free_nodes().begin(), e.free_nodes().end()));
            })
       .def("adjacency", &adjacency_of)
+      .def("order",
+           [](const Elimination& e) { return as_array(std::vector<std::int32_t>(e.tree().order)); })
+      .def(
+          "factor_bytes",
+          [](const Elimination& e, int block_size) {
+            return e.layout(block_size).factor_size() * static_cast<std::int64_t>(sizeof(double));
+          },
+          "block_size"_a)
       .def("fill", &Elimination::fill, "block_size"_a)
       .def("operations", &Elimination::operations, "block_size"_a);
 

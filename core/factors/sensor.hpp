@@ -12,11 +12,66 @@
 
 namespace masat {
 
-// A table of factors as RelativePoseFactors, with two more columns, each of which may be null.
-// `offsets`: an edge measures the pose b * o of a sensor in the place of the pose b of the node
-// that it leads to. `range_bearing`: where it is true, the x axis of the measured pose points at
-// the measured position, and in the place of the translation the error has that of its distance and
-// direction.
+// What was measured in the place of the pose b of the node that an edge leads to: the pose b *
+// offset of a sensor on it; or where `range_bearing` is true, the x axis of the measured pose
+// points at the measured position, and in the place of the translation the error has that of its
+// distance and direction.
+template <LieGroup Group>
+struct Sensor {
+  bool has_offset = false, range_bearing = false;
+  Group offset = {};
+};
+
+namespace detail {
+
+// Makes the error of a pose that of range and bearing; `jacobian` gets the derivative by the
+// translation.
+template <LieGroup Group>
+void to_range_bearing(
+    const Group& z, typename Group::Tangent& e,
+    Eigen::Matrix<double, Group::kDimension, Group::kDimension>* jacobian = nullptr) {
+  constexpr int d = Group::kDimension;
+  const double range = z.translation().norm();
+  // The position in the frame that points along the measured direction.
+  Eigen::Matrix<double, d, 1> ahead = e.template head<d>();
+  ahead[0] += range;
+  e.template head<d>() = range_bearing_error<d>(ahead, range, jacobian);
+}
+
+}  // namespace detail
+
+template <LieGroup Group>
+typename Group::Tangent sensor_error(const Group& z, const Group& a, const Group& b,
+                                     const Sensor<Group>& sensor) {
+  typename Group::Tangent e = sensor.has_offset ? error(z, a, b * sensor.offset) : error(z, a, b);
+  if (sensor.range_bearing) detail::to_range_bearing(z, e);
+  return e;
+}
+
+// The same with the derivatives by the steps of both nodes.
+template <LieGroup Group>
+typename Group::Tangent sensor_error(const Group& z, const Group& a, const Group& b,
+                                     const Sensor<Group>& sensor, typename Group::Square& from,
+                                     typename Group::Square& to) {
+  constexpr int d = Group::kDimension;
+  typename Group::Tangent e;
+  if (sensor.has_offset) {
+    e = error(z, a, b * sensor.offset, from, to);
+    to = (to * step_at(sensor.offset)).eval();
+  } else {
+    e = error(z, a, b, from, to);
+  }
+  if (sensor.range_bearing) {
+    Eigen::Matrix<double, d, d> j;
+    detail::to_range_bearing(z, e, &j);
+    from.template topRows<d>() = (j * from.template topRows<d>()).eval();
+    to.template topRows<d>() = (j * to.template topRows<d>()).eval();
+  }
+  return e;
+}
+
+// A table of factors as RelativePoseFactors, with two more columns, each of which may be null:
+// the offsets of the sensors, and which edges measure range and bearing.
 template <LieGroup Group>
 class SensorFactors {
  public:
@@ -36,15 +91,7 @@ class SensorFactors {
 
   template <class Poses>
   Tangent residual(std::int64_t k, const Poses& poses) const {
-    const Group z = measured(k);
-    const Group& a = poses[edges_[k].from];
-    const Group& b = poses[edges_[k].to];
-    Tangent e = offsets_ ? error(z, a, b * offset(k)) : error(z, a, b);
-    if (is_range_bearing(k)) {
-      const double range = z.translation().norm();
-      e.template head<d>() = range_bearing_error<d>(ahead(e, range), range);
-    }
-    return e;
+    return sensor_error(measured(k), poses[edges_[k].from], poses[edges_[k].to], sensor(k));
   }
 
   template <class Poses>
@@ -57,24 +104,8 @@ class SensorFactors {
   double linearize(std::int64_t k, const Poses& poses, const EdgeLosses& losses,
                    Adder& adder) const {
     Square from, to;
-    const Group z = measured(k);
-    const Group& a = poses[edges_[k].from];
-    const Group& b = poses[edges_[k].to];
-    Tangent e;
-    if (offsets_) {
-      const Group o = offset(k);
-      e = error(z, a, b * o, from, to);
-      to = (to * step_at(o)).eval();
-    } else {
-      e = error(z, a, b, from, to);
-    }
-    if (is_range_bearing(k)) {
-      const double range = z.translation().norm();
-      Eigen::Matrix<double, d, d> j;
-      e.template head<d>() = range_bearing_error<d>(ahead(e, range), range, &j);
-      from.template topRows<d>() = (j * from.template topRows<d>()).eval();
-      to.template topRows<d>() = (j * to.template topRows<d>()).eval();
-    }
+    const Tangent e =
+        sensor_error(measured(k), poses[edges_[k].from], poses[edges_[k].to], sensor(k), from, to);
     const double chi2 = e.dot(information(k) * e);
     const LossValue value = losses.robust(k) ? losses.loss()(chi2)
                                              : LossValue{losses.weight(k) * chi2, losses.weight(k)};
@@ -84,20 +115,14 @@ class SensorFactors {
   }
 
  private:
-  static constexpr int d = Group::kDimension;
-
   Group measured(std::int64_t k) const { return Group::load(measured_ + k * Group::kSize); }
-  Group offset(std::int64_t k) const { return Group::load(offsets_ + k * Group::kSize); }
-  bool is_range_bearing(std::int64_t k) const { return range_bearing_ && range_bearing_[k]; }
+  Sensor<Group> sensor(std::int64_t k) const {
+    Sensor<Group> out{offsets_ != nullptr, range_bearing_ && range_bearing_[k]};
+    if (offsets_) out.offset = Group::load(offsets_ + k * Group::kSize);
+    return out;
+  }
   Eigen::Map<const Square> information(std::int64_t k) const {
     return Eigen::Map<const Square>(information_ + k * Group::kDof * Group::kDof);
-  }
-  // The position in the frame that points along the measured direction, from the error of a pose
-  // measured at that range.
-  static Eigen::Matrix<double, d, 1> ahead(const Tangent& e, double range) {
-    Eigen::Matrix<double, d, 1> q = e.template head<d>();
-    q[0] += range;
-    return q;
   }
 
   std::span<const Edge> edges_;

@@ -10,9 +10,10 @@
 
 namespace masat {
 
-// The root of a component is the node of it that was added first. Where an edge joins two
-// components, that with the older root stays, and the other is moved as a whole to where the edge
-// says: its linearization remains valid, since all of it is relative.
+// The root of a component is the pose of it that was added first, or its only node. Where an edge
+// joins two components, that with the older root stays, and the other is moved as a whole to where
+// the edge says: its linearization remains valid, since all of it is relative. A point that nothing
+// measures joins the poses, whichever is older.
 template <LieGroup Group>
 class Components {
  public:
@@ -28,8 +29,10 @@ class Components {
                     bool keep_pose, std::vector<std::int32_t>& moved, std::vector<Change>& log) {
     const std::int32_t from_root = graph.node(from).root, to_root = graph.node(to).root;
     if (from_root == to_root) return -1;
-    const bool to_moves = from_root < to_root;
-    const std::int32_t end = to_moves ? to : from, freed = std::max(from_root, to_root);
+    const bool to_moves = graph.node(to_root).is_point || from_root < to_root;
+    const std::int32_t end = to_moves ? to : from;
+    const std::int32_t freed = to_moves ? to_root : from_root;
+    const std::int32_t kept = to_moves ? from_root : to_root;
     const Group target =
         to_moves ? graph.place(from).pose * measured : graph.place(to).pose * measured.inverse();
     const Group motion = target * graph.place(end).pose.inverse();
@@ -37,7 +40,7 @@ class Components {
     for (const std::int32_t i : part_) {
       auto& node = graph.node(i);
       log.push_back({i, node.root});
-      node.root = std::min(from_root, to_root);
+      node.root = kept;
       if (keep_pose) continue;
       auto& place = graph.place(i);
       if (part_.size() == 1) {
@@ -58,7 +61,10 @@ class Components {
     const std::int32_t root = graph.node(a).root;
     collect(graph, a);
     if (std::find(part_.begin(), part_.end(), root) != part_.end()) collect(graph, b);
-    const std::int32_t first = *std::min_element(part_.begin(), part_.end());
+    const std::int32_t first =
+        *std::min_element(part_.begin(), part_.end(), [&graph](std::int32_t i, std::int32_t j) {
+          return std::pair(graph.node(i).is_point, i) < std::pair(graph.node(j).is_point, j);
+        });
     for (const std::int32_t i : part_) {
       log.push_back({i, graph.node(i).root});
       graph.node(i).root = first;

@@ -1,4 +1,4 @@
-// A pose graph that changes, with the linearization of each edge.
+// A pose graph with points that changes, with the linearization of each edge.
 #pragma once
 
 #include <Eigen/Core>
@@ -6,13 +6,15 @@
 #include <cstdint>
 #include <vector>
 
+#include "factors/sensor.hpp"
 #include "lie/group.hpp"
 
 namespace masat {
 
 // Each node has a pose at which its edges are linearized, and a step from it; the current pose is
 // that of the linearization moved by the step. H = sum J' W J and the right-hand side -sum J' W e
-// belong to the linearization: the fixed nodes have no part in them.
+// belong to the linearization: the fixed nodes have no part in them. A point is a node of which
+// edges measure the position alone; nothing turns it.
 template <LieGroup Group>
 class GrowingGraph {
  public:
@@ -22,6 +24,7 @@ class GrowingGraph {
 
   struct Edge {
     std::int32_t from = -1, to = -1;  // -1 for both if the edge is removed
+    bool has_sensor = false;          // whether `sensor` tells more of it
     std::int64_t number = 0;          // by which the caller knows it
     Group measured;
     Square information;
@@ -44,6 +47,7 @@ class GrowingGraph {
     double damping = 0;      // a fraction of the diagonal of H that is added to it
     std::int32_t root = -1;  // the fixed node of the component
     bool stale = false;      // the blocks are to be computed
+    bool is_point = false;
     std::vector<std::int32_t> edges;
   };
 
@@ -59,6 +63,11 @@ class GrowingGraph {
   Tangent& step(std::int32_t i) { return step_[i]; }
   const Tangent& step(std::int32_t i) const { return step_[i]; }
   bool is_free(std::int32_t i) const { return nodes_[i].root != i; }
+  // Whether a node is a point that nothing measures.
+  bool is_lone_point(std::int32_t i) const { return nodes_[i].is_point && nodes_[i].edges.empty(); }
+  Sensor<Group> sensor(std::int32_t slot) const {
+    return edges_[slot].has_sensor ? sensors_[slot] : Sensor<Group>{};
+  }
   std::int32_t other_end(const Edge& e, std::int32_t i) const {
     return e.from == i ? e.to : e.from;
   }
@@ -67,13 +76,14 @@ class GrowingGraph {
   double chi2() const { return chi2_; }
   double neglected() const { return neglected_; }
 
-  std::int32_t add_node(const Group& pose) {
+  std::int32_t add_node(const Group& pose, bool is_point = false) {
     const std::int32_t i = size();
     Node& node = nodes_.emplace_back();
     places_.push_back({pose, pose});
     node.diagonal.setZero();
     node.rhs.setZero();
     node.root = i;
+    node.is_point = is_point;
     step_.push_back(Tangent::Zero());
     return i;
   }
@@ -85,7 +95,8 @@ class GrowingGraph {
 
   // Returns the slot of the edge, which stays its own until it is removed.
   std::int32_t add_edge(std::int64_t number, std::int32_t from, std::int32_t to,
-                        const Group& measured, const Square& information) {
+                        const Group& measured, const Square& information,
+                        const Sensor<Group>& sensor = {}) {
     std::int32_t slot = edge_slots();
     if (unused_.empty()) {
       edges_.emplace_back();
@@ -100,6 +111,11 @@ class GrowingGraph {
     e.measured = measured;
     e.information = information;
     e.chi2 = e.neglected = 0;
+    e.has_sensor = sensor.has_offset || sensor.range_bearing;
+    if (e.has_sensor) {
+      if (sensors_.size() < edges_.size()) sensors_.resize(edges_.capacity());
+      sensors_[slot] = sensor;
+    }
     for (const std::int32_t i : {from, to}) nodes_[i].edges.push_back(slot);
     ++edge_count_;
     linearize(slot);
@@ -122,8 +138,10 @@ class GrowingGraph {
   // Computes the linearization of an edge; the blocks of its nodes are stale then.
   void linearize(std::int32_t slot) {
     Edge& e = edges_[slot];
-    e.residual = error(e.measured, places_[e.from].linearized, places_[e.to].linearized,
-                       e.from_jacobian, e.to_jacobian);
+    const Group &a = places_[e.from].linearized, &b = places_[e.to].linearized;
+    e.residual = e.has_sensor ? sensor_error(e.measured, a, b, sensors_[slot], e.from_jacobian,
+                                             e.to_jacobian)
+                              : error(e.measured, a, b, e.from_jacobian, e.to_jacobian);
     e.joint.noalias() = e.to_jacobian.transpose() * (e.information * e.from_jacobian);
     nodes_[e.from].stale = nodes_[e.to].stale = true;
   }
@@ -154,6 +172,8 @@ class GrowingGraph {
       node.diagonal.noalias() += j.transpose() * weighted;
       node.rhs.noalias() -= weighted.transpose() * e.residual;
     }
+    // The rotation of a point is in no residual.
+    if (node.is_point) node.diagonal.diagonal().template tail<kDof - Group::kDimension>().setOnes();
   }
 
   // Moves a node's pose to that of its linearization and its step.
@@ -168,10 +188,17 @@ class GrowingGraph {
     for (std::size_t k = 0; k < sizeof(Edge); k += kLine) __builtin_prefetch(edge + k);
   }
 
+  // The residual of an edge at the current poses.
+  Tangent residual(std::int32_t slot) const {
+    const Edge& e = edges_[slot];
+    const Group &a = places_[e.from].pose, &b = places_[e.to].pose;
+    return e.has_sensor ? sensor_error(e.measured, a, b, sensors_[slot]) : error(e.measured, a, b);
+  }
+
   // Brings chi2 of an edge up to date with the poses of its nodes.
   void evaluate(std::int32_t slot) {
     Edge& e = edges_[slot];
-    const Tangent now = error(e.measured, places_[e.from].pose, places_[e.to].pose);
+    const Tangent now = residual(slot);
     const Tangent weighted = e.information * now;
     const Tangent missing =
         now - e.residual - e.from_jacobian * step_[e.from] - e.to_jacobian * step_[e.to];
@@ -201,6 +228,7 @@ class GrowingGraph {
   std::vector<Place> places_;
   std::vector<Tangent> step_;
   std::vector<Edge> edges_;
+  std::vector<Sensor<Group>> sensors_;  // by slot; as many as needed
   std::vector<std::int32_t> unused_;
   std::int64_t edge_count_ = 0, evaluations_ = 0;
   double chi2_ = 0, neglected_ = 0;

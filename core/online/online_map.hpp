@@ -15,16 +15,25 @@ struct Undetermined : std::runtime_error {
   std::int64_t id;
 };
 
-// All of a map: what a file holds of it. The world is not among the nodes.
+// Priors, which are edges from the world, and observations of points, one a row.
+struct SensorEdges {
+  std::vector<std::int64_t> numbers;
+  std::vector<std::int32_t> ends;  // indices of nodes, two a row
+  std::vector<double> measurements, information;
+  std::vector<double> offsets;              // of the sensors on the nodes that they lead to
+  std::vector<std::uint8_t> range_bearing;  // 1 where range and bearing were measured
+};
+
+// All of a map: what a file holds of it. The world is not among the nodes; its index is -1.
 struct MapContents {
   std::vector<std::int64_t> ids;      // of the nodes, in the order in which they were added
+  std::vector<std::uint8_t> points;   // 1 for those that are points
   std::vector<double> poses, bases;   // where they are, and where their edges were linearized
   std::vector<std::int32_t> roots;    // the fixed node of each one's component; -1: the world
   std::vector<std::int64_t> numbers;  // of the edges, ascending
   std::vector<std::int64_t> pairs;    // ids that the edges join
   std::vector<double> measurements, information;
-  std::vector<std::int64_t> prior_numbers, prior_ids;
-  std::vector<double> prior_measurements, prior_information;
+  SensorEdges sensor_edges;
   std::int64_t next_edge = 0;
 };
 
@@ -50,13 +59,20 @@ class OnlineMap {
   // not symmetric positive definite, quaternions that are not of unit length. Edges get the next
   // numbers, or those of removed edges, if `numbers` are given. An edge that is removed before it
   // was part of the map never will be.
-  virtual bool add_node(std::int64_t id, const double* pose) = 0;
+  virtual bool add_node(std::int64_t id, const double* pose, bool is_point) = 0;
   virtual bool add_edges(std::span<const std::int64_t> pairs, const double* measurements,
                          const double* information, const std::int64_t* numbers) = 0;
-  // The same for priors on nodes, by their indices; information may be semidefinite, which is not
-  // checked. The component of a node that gets its first prior stays where it is.
-  virtual bool add_priors(std::span<const std::int32_t> nodes, const double* measurements,
-                          const double* information, const std::int64_t* numbers) = 0;
+  // The same for priors and observations; information may be semidefinite, which is not checked. An
+  // edge that would join two components is left out, unless one is a point that nothing measures
+  // and the edge may place it. If `may_place` is empty, edges may join components, which stay where
+  // they are. New numbers if `edges` has none.
+  virtual bool add_sensor_edges(const SensorEdges& edges, std::span<const bool> may_place) = 0;
+  // The numbers of the edges that the last update has left out.
+  virtual std::vector<std::int64_t> left_out() const = 0;
+  virtual bool has_sensor_edges() const = 0;
+  virtual bool is_point(std::int32_t node) const = 0;
+  // Moves a point that nothing measures.
+  virtual void place_point(std::int32_t node, const double* pose) = 0;
   virtual bool remove_edges(std::span<const std::int64_t> numbers) = 0;
   virtual bool has_edge(std::int64_t number) const = 0;
   virtual std::int64_t next_edge() const = 0;  // the number of the next edge that is added
@@ -94,6 +110,8 @@ class OnlineMap {
 
   // The last complete state, the world included, which any thread may read at any time.
   virtual std::int32_t nodes() const = 0;
+  virtual std::int32_t point_count() const = 0;
+  virtual std::vector<std::uint8_t> points() const = 0;  // 1 for nodes that are points
   virtual std::int64_t edges() const = 0;
   virtual std::vector<std::int64_t> ids() const = 0;
   virtual double chi2() const = 0;

@@ -33,6 +33,7 @@ class OnlineMapOf final : public OnlineMap {
     graph_.add_node(Group{});
     ids_.push_back(0);
     given_.push_back(true);
+    points_.push_back(false);
     resize();
     publish_all();
   }
@@ -51,11 +52,22 @@ class OnlineMapOf final : public OnlineMap {
     return found == index_.end() ? -1 : found->second;
   }
 
-  bool add_node(std::int64_t id, const double* pose) override;
+  bool add_node(std::int64_t id, const double* pose, bool is_point) override;
   bool add_edges(std::span<const std::int64_t> pairs, const double* measurements,
                  const double* information, const std::int64_t* numbers) override;
-  bool add_priors(std::span<const std::int32_t> nodes, const double* measurements,
-                  const double* information, const std::int64_t* numbers) override;
+  bool add_sensor_edges(const SensorEdges& edges, std::span<const bool> may_place) override;
+  std::vector<std::int64_t> left_out() const override { return left_out_; }
+  bool has_sensor_edges() const override {
+    return point_count() > 0 || !graph_.node(0).edges.empty();
+  }
+  bool is_point(std::int32_t node) const override {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return points_[node] != 0;
+  }
+  void place_point(std::int32_t node, const double* pose) override {
+    graph_.place(node) = {Group::load(pose), Group::load(pose)};
+    given_[node] = true;
+  }
   bool remove_edges(std::span<const std::int64_t> numbers) override;
   StepSummary update(double budget) override;
 
@@ -94,6 +106,14 @@ class OnlineMapOf final : public OnlineMap {
     const std::lock_guard<std::mutex> lock(mutex_);
     return state_.nodes;
   }
+  std::int32_t point_count() const override {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return state_.points;
+  }
+  std::vector<std::uint8_t> points() const override {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return {points_.begin(), points_.begin() + state_.nodes};
+  }
   std::int64_t edges() const override {
     const std::lock_guard<std::mutex> lock(mutex_);
     return state_.edges;
@@ -125,6 +145,7 @@ class OnlineMapOf final : public OnlineMap {
   bool may_be_numbered(std::size_t count, const std::int64_t* numbers) const;
   void wait(std::size_t before, const std::int64_t* numbers);
   void apply_changes();
+  bool may_apply(const PendingEdge<Group>& edge) const;
   void apply(const PendingEdge<Group>& edge);
   void apply_removal(std::int64_t number);
   void release_root(std::int32_t root);
@@ -154,6 +175,7 @@ class OnlineMapOf final : public OnlineMap {
 
   std::unordered_map<std::int64_t, std::int32_t> index_;
   std::vector<std::int64_t> ids_;
+  std::vector<std::uint8_t> points_;   // 1 for nodes that are points
   std::vector<char> given_;            // nodes whose pose the caller gave
   std::vector<std::int32_t> slot_of_;  // of each edge by its number
   PendingChanges<Group> pending_;
@@ -165,13 +187,14 @@ class OnlineMapOf final : public OnlineMap {
   std::int64_t stamp_ = 0;
   // How to undo the current update.
   std::vector<typename Components<Group>::Change> root_log_;
-  std::vector<typename Graph::Edge> removed_log_;
+  std::vector<PendingEdge<Group>> removed_log_;
   std::vector<std::int64_t> added_log_;
+  std::vector<std::int64_t> left_out_;  // numbers of edges, in the last update
 
   // The last complete state, for readers.
   struct State {
     std::vector<double> poses;
-    std::int32_t nodes = 0;
+    std::int32_t nodes = 0, points = 0;
     std::int64_t edges = 0;
     double chi2 = 0;
   };

@@ -48,7 +48,7 @@ double OnlineMapOf<Group>::exact_chi2() const {
   for (std::int32_t slot = 0; slot < graph_.edge_slots(); ++slot) {
     const auto& e = graph_.edge(slot);
     if (e.from < 0) continue;
-    const auto now = error(e.measured, graph_.place(e.from).pose, graph_.place(e.to).pose);
+    const auto now = graph_.residual(slot);
     sum += now.dot(e.information * now);
   }
   return sum;
@@ -100,18 +100,24 @@ MapContents OnlineMapOf<Group>::contents() const {
   out.bases.resize(out.poses.size());
   for (std::int32_t i = 1; i < state_.nodes; ++i) {
     out.roots.push_back(graph_.node(i).root - 1);
+    out.points.push_back(graph_.node(i).is_point);
     graph_.place(i).linearized.store(out.bases.data() + (std::int64_t{i} - 1) * kSize);
   }
   out.next_edge = next_edge();
   for (std::int64_t number = 0; number < next_edge(); ++number) {
     if (slot_of_[number] < 0) continue;
     const auto& e = graph_.edge(slot_of_[number]);
-    const bool prior = e.from == 0;
-    auto& measurements = prior ? out.prior_measurements : out.measurements;
-    auto& information = prior ? out.prior_information : out.information;
-    (prior ? out.prior_numbers : out.numbers).push_back(number);
-    if (prior) {
-      out.prior_ids.push_back(ids_[e.to]);
+    auto& others = out.sensor_edges;
+    const bool is_other = e.from == 0 || graph_.node(e.to).is_point;
+    auto& measurements = is_other ? others.measurements : out.measurements;
+    auto& information = is_other ? others.information : out.information;
+    (is_other ? others.numbers : out.numbers).push_back(number);
+    if (is_other) {
+      const Sensor<Group> sensor = graph_.sensor(slot_of_[number]);
+      others.ends.insert(others.ends.end(), {e.from - 1, e.to - 1});
+      others.range_bearing.push_back(sensor.range_bearing);
+      others.offsets.resize(others.offsets.size() + kSize);
+      sensor.offset.store(others.offsets.data() + others.offsets.size() - kSize);
     } else {
       out.pairs.push_back(ids_[e.from]);
       out.pairs.push_back(ids_[e.to]);
@@ -128,7 +134,8 @@ void OnlineMapOf<Group>::fill(const MapContents& contents) {
   const auto count = static_cast<std::int32_t>(contents.ids.size());
   for (std::int32_t k = 0; k < count; ++k) {
     const double* const base = contents.bases.data() + std::int64_t{k} * kSize;
-    if (!add_node(contents.ids[k], base)) throw std::invalid_argument("a pose of the map");
+    if (!add_node(contents.ids[k], base, contents.points[k] != 0))
+      throw std::invalid_argument("a pose of the map");
     const std::int32_t i = k + 1;
     const Group pose = Group::load(contents.poses.data() + std::int64_t{k} * kSize);
     graph_.step(i) = error(Group{}, graph_.place(i).linearized, pose);
@@ -138,19 +145,21 @@ void OnlineMapOf<Group>::fill(const MapContents& contents) {
   resize();
   slot_of_.assign(contents.next_edge, kRemoved);
   const auto add = [this](std::int64_t number, std::int32_t from, std::int32_t to,
-                          const double* measured, const double* information) {
+                          const double* measured, const double* information,
+                          const Sensor<Group>& sensor) {
     slot_of_[number] = graph_.add_edge(number, from, to, Group::load(measured),
-                                       Eigen::Map<const Square>(information));
+                                       Eigen::Map<const Square>(information), sensor);
   };
   constexpr std::size_t kArea = kDof * kDof;
   for (std::size_t k = 0; k < contents.numbers.size(); ++k) {
     add(contents.numbers[k], find(contents.pairs[2 * k]), find(contents.pairs[2 * k + 1]),
-        contents.measurements.data() + k * kSize, contents.information.data() + k * kArea);
+        contents.measurements.data() + k * kSize, contents.information.data() + k * kArea, {});
   }
-  for (std::size_t k = 0; k < contents.prior_numbers.size(); ++k) {
-    add(contents.prior_numbers[k], 0, find(contents.prior_ids[k]),
-        contents.prior_measurements.data() + k * kSize,
-        contents.prior_information.data() + k * kArea);
+  const SensorEdges& others = contents.sensor_edges;
+  for (std::size_t k = 0; k < others.numbers.size(); ++k) {
+    add(others.numbers[k], others.ends[2 * k] + 1, others.ends[2 * k + 1] + 1,
+        others.measurements.data() + k * kSize, others.information.data() + k * kArea,
+        sensor_of<Group>(others, k));
   }
   for (std::int32_t i = 0; i <= count; ++i) {
     back_.know(graph_, i);

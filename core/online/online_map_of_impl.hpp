@@ -4,12 +4,14 @@
 namespace masat {
 
 template <LieGroup Group>
-bool OnlineMapOf<Group>::add_node(std::int64_t id, const double* pose) {
+bool OnlineMapOf<Group>::add_node(std::int64_t id, const double* pose, bool is_point) {
   if (find(id) >= 0 || (pose != nullptr && !is_plain_pose<Group>(pose))) return false;
-  const std::int32_t index = graph_.add_node(pose == nullptr ? Group{} : Group::load(pose));
+  const std::int32_t index =
+      graph_.add_node(pose == nullptr ? Group{} : Group::load(pose), is_point);
   const std::lock_guard<std::mutex> lock(mutex_);
   index_.emplace(id, index);
   ids_.push_back(id);
+  points_.push_back(is_point);
   given_.push_back(pose != nullptr);
   return true;
 }
@@ -23,8 +25,8 @@ bool OnlineMapOf<Group>::add_edges(std::span<const std::int64_t> pairs, const do
     const std::int32_t from = find(pairs[2 * k]), to = find(pairs[2 * k + 1]);
     const double* const z = measurements + k * kSize;
     const double* const w = information + k * kDof * kDof;
-    if (from < 0 || to < 0 || from == to || !is_plain_pose<Group>(z) ||
-        !is_plain_information<Group>(w)) {
+    if (from < 0 || to < 0 || from == to || graph_.node(from).is_point ||
+        graph_.node(to).is_point || !is_plain_pose<Group>(z) || !is_plain_information<Group>(w)) {
       pending_.edges.resize(before);
       return false;
     }
@@ -35,13 +37,18 @@ bool OnlineMapOf<Group>::add_edges(std::span<const std::int64_t> pairs, const do
 }
 
 template <LieGroup Group>
-bool OnlineMapOf<Group>::add_priors(std::span<const std::int32_t> nodes, const double* measurements,
-                                    const double* information, const std::int64_t* numbers) {
-  const std::size_t before = pending_.edges.size();
-  if (!may_be_numbered(nodes.size(), numbers)) return false;
-  for (std::size_t k = 0; k < nodes.size(); ++k) {
-    pending_.edges.push_back({0, nodes[k], 0, Group::load(measurements + k * kSize),
-                              Eigen::Map<const Square>(information + k * kDof * kDof)});
+bool OnlineMapOf<Group>::add_sensor_edges(const SensorEdges& edges,
+                                          std::span<const bool> may_place) {
+  const std::size_t before = pending_.edges.size(), count = edges.ends.size() / 2;
+  const std::int64_t* const numbers = edges.numbers.empty() ? nullptr : edges.numbers.data();
+  if (!may_be_numbered(count, numbers)) return false;
+  for (std::size_t k = 0; k < count; ++k) {
+    Joining joining = Joining::kStays;
+    if (!may_place.empty()) joining = may_place[k] ? Joining::kPlaces : Joining::kNever;
+    pending_.edges.push_back({edges.ends[2 * k], edges.ends[2 * k + 1], 0,
+                              Group::load(&edges.measurements[k * kSize]),
+                              Eigen::Map<const Square>(&edges.information[k * kDof * kDof]),
+                              joining, sensor_of<Group>(edges, k)});
   }
   wait(before, numbers);
   return true;
@@ -102,6 +109,7 @@ StepSummary OnlineMapOf<Group>::update(double budget) {
   root_log_.clear();
   removed_log_.clear();
   added_log_.clear();
+  left_out_.clear();
   moved_.clear();
   try {
     apply_changes();
@@ -129,9 +137,29 @@ void OnlineMapOf<Group>::apply_changes() {
   resize();
   for (std::int32_t i = all_moved_ ? 0 : state_.nodes; i < graph_.size(); ++i) moved_.push_back(i);
   all_moved_ = false;
-  for (const PendingEdge<Group>& edge : pending_.edges) apply(edge);
+  auto& edges = pending_.edges;
+  // What waits for another edge to join components, or to place a point, has its turn after it.
+  for (std::size_t left = edges.size() + 1; left > edges.size();) {
+    left = edges.size();
+    std::erase_if(edges, [this](const auto& edge) {
+      if (!may_apply(edge)) return false;
+      apply(edge);
+      return true;
+    });
+  }
+  for (const auto& edge : edges) {
+    left_out_.push_back(edge.number);
+    slot_of_[edge.number] = kRemoved;
+  }
   for (const std::int64_t number : pending_.removals) apply_removal(number);
   pending_.clear();
+}
+
+template <LieGroup Group>
+bool OnlineMapOf<Group>::may_apply(const PendingEdge<Group>& edge) const {
+  if (edge.joining == Joining::kMoves || edge.joining == Joining::kStays) return true;
+  if (graph_.node(edge.from).root == graph_.node(edge.to).root) return true;
+  return edge.joining == Joining::kPlaces && graph_.is_lone_point(edge.to);
 }
 
 template <LieGroup Group>
@@ -142,13 +170,14 @@ void OnlineMapOf<Group>::resize() {
 
 template <LieGroup Group>
 void OnlineMapOf<Group>::apply(const PendingEdge<Group>& edge) {
-  const std::int32_t newer = std::max(edge.from, edge.to);
-  const bool keep = edge.from == 0 || (given_[newer] && graph_.node(newer).edges.empty());
+  const std::int32_t newer = graph_.is_lone_point(edge.to) ? edge.to : std::max(edge.from, edge.to);
+  const bool keep =
+      edge.joining == Joining::kStays || (given_[newer] && graph_.node(newer).edges.empty());
   const std::int32_t freed =
       components_.join(graph_, edge.from, edge.to, edge.measured, keep, moved_, root_log_);
   if (freed >= 0) release_root(freed);
-  slot_of_[edge.number] =
-      graph_.add_edge(edge.number, edge.from, edge.to, edge.measured, edge.information);
+  slot_of_[edge.number] = graph_.add_edge(edge.number, edge.from, edge.to, edge.measured,
+                                          edge.information, edge.sensor);
   added_log_.push_back(edge.number);
   factor_.touch(edge.from);
   factor_.touch(edge.to);
@@ -166,7 +195,9 @@ void OnlineMapOf<Group>::release_root(std::int32_t root) {
 template <LieGroup Group>
 void OnlineMapOf<Group>::apply_removal(std::int64_t number) {
   const std::int32_t slot = slot_of_[number];
-  const typename Graph::Edge edge = graph_.edge(slot);
+  const auto& e = graph_.edge(slot);
+  const PendingEdge<Group> edge{
+      e.from, e.to, number, e.measured, e.information, Joining::kStays, graph_.sensor(slot)};
   graph_.remove_edge(slot);
   slot_of_[number] = kRemoved;
   removed_log_.push_back(edge);
@@ -249,13 +280,13 @@ void OnlineMapOf<Group>::settle(Clock::time_point deadline, bool limited, StepSu
     if (!retried) {
       for (const std::int32_t node : factor_.damped()) relinearization_.add(graph_, node);
     }
-    if (relinearization_.chosen().empty() && coarsest_ > kFallen * cost &&
-        summary.passes < kMostPasses) {
-      solve_all(summary);
-      continue;
-    }
     if (relinearization_.chosen().empty()) {
-      summary.complete = factor_.damped().empty();
+      const bool coarse = coarsest_ > kFallen * cost;
+      if (coarse && summary.passes < kMostPasses) {
+        solve_all(summary);
+        continue;
+      }
+      summary.complete = !coarse && factor_.damped().empty();
       return factor_.forget_damped();
     }
     if (summary.passes >= kMostPasses || Clock::now() > deadline) {
@@ -318,7 +349,7 @@ void OnlineMapOf<Group>::require_finite_chi2() {
     if (largest < 0 || !(graph_.edge(slot).chi2 <= graph_.edge(largest).chi2)) largest = slot;
     if (!std::isfinite(graph_.edge(slot).chi2)) break;
   }
-  throw SingularAt(graph_.edge(largest).from);
+  throw SingularAt(graph_.edge(largest).to);
 }
 
 // Makes the poses those that readers get, and returns the largest rotation among them.
@@ -333,6 +364,7 @@ double OnlineMapOf<Group>::publish() {
   const std::lock_guard<std::mutex> lock(mutex_);
   const std::int32_t before = state_.nodes;
   state_.nodes = graph_.size();
+  for (std::int32_t i = before; i < state_.nodes; ++i) state_.points += points_[i];
   state_.poses.resize(std::size_t(state_.nodes) * kSize);
   for (const std::int32_t i : moved_) {
     double* const stored = state_.poses.data() + std::int64_t{i} * kSize;
@@ -353,7 +385,8 @@ void OnlineMapOf<Group>::roll_back() {
   pending_.clear();
   all_moved_ = false;
   for (auto e = removed_log_.rbegin(); e != removed_log_.rend(); ++e) {
-    slot_of_[e->number] = graph_.add_edge(e->number, e->from, e->to, e->measured, e->information);
+    slot_of_[e->number] =
+        graph_.add_edge(e->number, e->from, e->to, e->measured, e->information, e->sensor);
   }
   for (auto number = added_log_.rbegin(); number != added_log_.rend(); ++number) {
     graph_.remove_edge(slot_of_[*number]);
@@ -367,6 +400,7 @@ void OnlineMapOf<Group>::roll_back() {
   while (graph_.size() > state_.nodes) {
     index_.erase(ids_.back());
     ids_.pop_back();
+    points_.pop_back();
     given_.pop_back();
     graph_.remove_last_node();
   }

@@ -6,10 +6,20 @@
 #include <cstdint>
 #include <vector>
 
+#include "factors/sensor.hpp"
 #include "graph/information.hpp"
 #include "lie/group.hpp"
+#include "online/online_map.hpp"
 
 namespace masat {
+
+// What an edge may do to the components of the nodes that it joins.
+enum class Joining : std::uint8_t {
+  kMoves,   // move one of them to where it says
+  kPlaces,  // place a point that nothing measures; else they have to be one component
+  kNever,   // they have to be one component
+  kStays,   // join them where they are
+};
 
 template <LieGroup Group>
 struct PendingEdge {
@@ -17,6 +27,8 @@ struct PendingEdge {
   std::int64_t number;
   Group measured;
   typename Group::Square information;
+  Joining joining = Joining::kMoves;
+  Sensor<Group> sensor = {};
 };
 
 template <LieGroup Group>
@@ -29,6 +41,13 @@ struct PendingChanges {
     removals.clear();
   }
 };
+
+template <LieGroup Group>
+Sensor<Group> sensor_of(const SensorEdges& edges, std::size_t k) {
+  const Group offset = Group::load(&edges.offsets[k * Group::kSize]);
+  const bool has_offset = error(Group{}, Group{}, offset) != Group::Tangent::Zero();
+  return {has_offset, edges.range_bearing[k] != 0, offset};
+}
 
 // Whether the numbers of a pose are finite, and its quaternion of unit length up to rounding.
 template <LieGroup Group>

@@ -38,10 +38,18 @@ class NormalEquations {
   virtual void diagonal(double* out) const = 0;
   virtual void multiply(const double* v, double* out) const = 0;  // H v
   // Factorizes H plus a diagonal; returns -1, or the node at which it is not positive definite.
-  [[nodiscard]] virtual std::int32_t factorize(std::span<const double> damping) = 0;
+  // `elements` are those of the elimination, in its order.
+  [[nodiscard]] virtual std::int32_t factorize(std::span<const double> damping,
+                                               std::span<const Element> elements = {}) = 0;
   // The smallest ratio of a pivot to its diagonal entry of H plus the damping; 1 without unknowns.
   virtual double pivot_ratio() const = 0;
   virtual void solve(double* step) const = 0;
+  // Of a part of a graph: what its elimination leaves of H and of a right-hand side at the
+  // boundary, and the solution for given values there.
+  virtual std::vector<double> contribution() const = 0;
+  virtual void reduce(std::span<double> rhs) const = 0;
+  virtual void substitute(std::span<double> x) const = 0;
+  virtual const Elimination& elimination() const = 0;
   // Blocks of the inverse of the factorized matrix, by indices among the free nodes, each
   // row-major.
   virtual void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
@@ -94,8 +102,9 @@ class NormalEquationsOf : public NormalEquations {
   void diagonal(double* out) const override { matrix_.diagonal(out); }
   void multiply(const double* v, double* out) const override { matrix_.multiply(v, 1, out); }
 
-  [[nodiscard]] std::int32_t factorize(std::span<const double> damping) override {
-    const std::int32_t failed = matrix_.factorize(damping);
+  [[nodiscard]] std::int32_t factorize(std::span<const double> damping,
+                                       std::span<const Element> elements = {}) override {
+    const std::int32_t failed = matrix_.factorize(damping, elements);
     return failed < 0 ? -1 : free_nodes()[failed];
   }
 
@@ -105,6 +114,11 @@ class NormalEquationsOf : public NormalEquations {
     std::copy(rhs().begin(), rhs().end(), step);
     matrix_.solve({step, rhs().size()});
   }
+
+  std::vector<double> contribution() const override { return matrix_.contribution(); }
+  void reduce(std::span<double> rhs) const override { matrix_.reduce(rhs); }
+  void substitute(std::span<double> x) const override { matrix_.substitute(x); }
+  const Elimination& elimination() const override { return *matrix_.elimination(); }
 
   void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                double* out) const override {
@@ -130,8 +144,6 @@ class NormalEquationsOf : public NormalEquations {
  private:
   // Poses that a task computes: some ten microseconds of work.
   static constexpr std::int64_t kNodesPerTask = 512;
-
-  const Elimination& elimination() const { return *matrix_.elimination(); }
 
   void set_poses(const double* poses) {
     poses_.view(poses, nodes());

@@ -60,6 +60,11 @@ AssemblyTree build_assembly_tree(const BlockGraph& graph, const EliminationTree&
   for (std::size_t k = 0; k < front_of.size(); ++k) front_of[k] = front[supernodes.of_node[k]];
   order_nodes(tree, front_of, out);
   find_rows(graph, out);
+  out.boundary = tree.interface.boundary;
+  const std::int32_t first_element = tree.nodes() - tree.interface.elements;
+  for (std::int32_t f = 0; f < out.fronts(); ++f) {
+    out.element.push_back(std::max(out.order[out.first[f]] - first_element, -1));
+  }
   return out;
 }
 

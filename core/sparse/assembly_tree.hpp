@@ -20,8 +20,12 @@ struct AssemblyTree {
   std::vector<std::int32_t> parent;        // -1 at a root
   std::vector<std::int64_t> row_start;
   std::vector<std::int32_t> row;
+  std::int32_t boundary = 0;          // nodes that are not eliminated: those of the last front
+  std::vector<std::int32_t> element;  // which element each front is, or -1
 
   std::int32_t fronts() const { return static_cast<std::int32_t>(parent.size()); }
+  bool is_boundary(std::int32_t f) const { return boundary > 0 && f == fronts() - 1; }
+  bool is_eliminated(std::int32_t f) const { return element[f] < 0 && !is_boundary(f); }
   std::int32_t pivots(std::int32_t f) const { return first[f + 1] - first[f]; }
   std::span<const std::int32_t> rows(std::int32_t f) const {
     return {row.data() + row_start[f], row.data() + row_start[f + 1]};

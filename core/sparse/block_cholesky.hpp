@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "sparse/elimination.hpp"
+#include "sparse/multifrontal.hpp"
 #include "sparse/worker_pool.hpp"
 
 namespace masat {
@@ -18,6 +19,14 @@ struct NotFactorized : std::logic_error {
       : logic_error(
             "the matrix is not factorized: call factorize() before solve() or inverse(), and check "
             "that it returned -1") {}
+};
+
+// Thrown by solve and inverse of a matrix with a boundary.
+struct PartOnly : std::logic_error {
+  PartOnly()
+      : logic_error(
+            "the matrix has a boundary, of which other parts know more: call reduce() and "
+            "substitute()") {}
 };
 
 class BlockCholesky {
@@ -31,8 +40,10 @@ class BlockCholesky {
   // plus the diagonal `damping`. Zeros are entries like others: the pattern never changes. Returns
   // -1, or the block at which the matrix is not positive definite. An exception, such as that of an
   // interrupt, leaves no factorization.
+  // `elements` are the contribution blocks that the elements of the elimination stand for.
   [[nodiscard]] std::int32_t factorize(std::span<const double> values,
-                                       std::span<const double> damping);
+                                       std::span<const double> damping,
+                                       std::span<const Element> elements = {});
 
   // Nodes, ascending, at which the matrix is not positive definite: with `fixing` instead of their
   // damping it becomes so. Leaves no factorization.
@@ -49,6 +60,13 @@ class BlockCholesky {
   // Overwrites the right-hand sides, the columns of a row-major matrix, with the solutions. Only
   // one thread may call this at a time.
   void solve(std::span<double> rhs, int columns = 1) const;
+
+  // Of a matrix with a boundary, instead: its Schur complement as the lower triangle, packed column
+  // by column in the order of the boundary; and the two halves of a solution of one right-hand
+  // side, between which that of the boundary is put in.
+  std::vector<double> contribution() const;
+  void reduce(std::span<double> rhs) const;
+  void substitute(std::span<double> rhs) const;
 
   // Writes the blocks of the inverse at (rows[k], columns[k]), each row-major.
   void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,

@@ -19,14 +19,14 @@ std::vector<std::int32_t> free_of(std::span<const bool> fixed) {
 }  // namespace
 
 Elimination::Elimination(const Topology& graph, std::span<const bool> fixed,
-                         std::span<const std::int32_t> order)
+                         std::span<const std::int32_t> order, Interface interface)
     : free_(free_of(fixed)),
       index_(graph.nodes(), -1),
       joint_(graph.edges().size(), -1),
       pattern_(find_pattern(graph)),
       adjacency_(pattern_),
       tree_(order.empty() ? find_elimination_tree(adjacency_, minimum_degree(adjacency_))
-                          : find_elimination_tree(adjacency_, order)) {}
+                          : find_elimination_tree(adjacency_, order, interface)) {}
 
 BlockPattern Elimination::find_pattern(const Topology& graph) {
   const auto columns = static_cast<std::int32_t>(free_.size());
@@ -74,15 +74,18 @@ const FrontLayout& Elimination::layout(int d) const {
 
 std::int64_t Elimination::fill(int d) const {
   std::int64_t sum = 0;
-  for (const std::int64_t blocks : tree_.count) sum += d * (blocks * d) - d * (d - 1) / 2;
+  for (std::int32_t k = 0; k < tree_.boundary(); ++k) {
+    if (!tree_.is_element(k)) sum += d * (std::int64_t{tree_.count[k]} * d) - d * (d - 1) / 2;
+  }
   return sum;
 }
 
 double Elimination::operations(int d) const {
   double sum = 0;
-  for (const std::int32_t blocks : tree_.count) {
+  for (std::int32_t i = 0; i < tree_.boundary(); ++i) {
+    if (tree_.is_element(i)) continue;
     for (int k = 0; k < d; ++k) {
-      const double height = double(blocks) * d - k;
+      const double height = double(tree_.count[i]) * d - k;
       sum += height * height;
     }
   }

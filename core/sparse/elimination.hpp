@@ -21,9 +21,9 @@ class Elimination {
   // The matrix has a block for each free node and each pair of free nodes that edges join; `fixed`
   // nodes are left out. `order[k]` is the free node to eliminate k-th, by its index among the free
   // ones; without an order that of minimum degree is used. Postordering replaces either by an
-  // equivalent one.
+  // equivalent one. `interface` is by indices among the free nodes too.
   Elimination(const Topology& graph, std::span<const bool> fixed,
-              std::span<const std::int32_t> order = {});
+              std::span<const std::int32_t> order = {}, Interface interface = {});
 
   std::int32_t nodes() const { return static_cast<std::int32_t>(index_.size()); }
   std::int64_t edges() const { return static_cast<std::int64_t>(joint_.size()); }
@@ -38,7 +38,7 @@ class Elimination {
   const EliminationTree& tree() const { return tree_; }
 
   // Entries of the factor of a matrix of d x d blocks, and the floating-point operations to compute
-  // it, both without the padding of the storage.
+  // it, both without the padding of the storage and without what is not eliminated.
   std::int64_t fill(int d) const;
   double operations(int d) const;
 

@@ -61,14 +61,25 @@ std::vector<std::int32_t> count_columns(const BlockGraph& graph, const Eliminati
   return count;
 }
 
+// Makes the boundary, which begins at `first`, a chain above all other nodes.
+void join_boundary(std::vector<std::int32_t>& parent, std::int32_t first) {
+  const auto n = static_cast<std::int32_t>(parent.size());
+  for (std::int32_t k = 0; k < first; ++k) {
+    if (parent[k] < 0 || parent[k] > first) parent[k] = first;
+  }
+  for (std::int32_t k = first; k < n; ++k) parent[k] = k + 1 < n ? k + 1 : -1;
+}
+
 }  // namespace
 
-EliminationTree find_elimination_tree(const BlockGraph& graph,
-                                      std::span<const std::int32_t> order) {
+EliminationTree find_elimination_tree(const BlockGraph& graph, std::span<const std::int32_t> order,
+                                      Interface interface) {
   const std::int32_t n = graph.nodes();
   EliminationTree tree;
   tree.index = invert(order);
-  const std::vector<std::int32_t> parent = find_parents(graph, order, tree.index);
+  tree.interface = interface;
+  std::vector<std::int32_t> parent = find_parents(graph, order, tree.index);
+  if (interface.boundary > 0) join_boundary(parent, n - interface.boundary);
   const std::vector<std::int32_t> post = postorder(parent);
   const std::vector<std::int32_t> renumbered = invert(post);
   tree.order.resize(n);
@@ -79,6 +90,7 @@ EliminationTree find_elimination_tree(const BlockGraph& graph,
     tree.parent[k] = parent[post[k]] < 0 ? -1 : renumbered[parent[post[k]]];
   }
   tree.count = count_columns(graph, tree);
+  for (std::int32_t k = n - interface.boundary; k < n; ++k) tree.count[k] = n - k;
   return tree;
 }
 

@@ -60,8 +60,9 @@ class GraphMatrix {
   void multiply(const double* v, int columns, double* out) const;
   // Factorizes H plus a diagonal. Returns -1, or the index of the free node at which it is not
   // positive definite.
-  [[nodiscard]] std::int32_t factorize(std::span<const double> damping) {
-    return cholesky().factorize(values_, damping);
+  [[nodiscard]] std::int32_t factorize(std::span<const double> damping,
+                                       std::span<const Element> elements = {}) {
+    return cholesky().factorize(values_, damping, elements);
   }
   // Indices of free nodes, ascending, that must be fixed for H plus the diagonal to be positive
   // definite: for each of them `fixing` replaces the damping.
@@ -77,6 +78,10 @@ class GraphMatrix {
   double pivot_ratio() const { return factor().pivot_ratio(); }
   // Overwrites right-hand sides with the solutions.
   void solve(std::span<double> rhs, int columns = 1) const { factor().solve(rhs, columns); }
+  // Of a part, see BlockCholesky.
+  std::vector<double> contribution() const { return factor().contribution(); }
+  void reduce(std::span<double> rhs) const { factor().reduce(rhs); }
+  void substitute(std::span<double> rhs) const { factor().substitute(rhs); }
   // Writes blocks of the inverse, by indices among the free nodes, each row-major.
   void inverse(std::span<const std::int32_t> rows, std::span<const std::int32_t> columns,
                double* out) const {

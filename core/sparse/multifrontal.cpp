@@ -48,9 +48,11 @@ Multifrontal::Multifrontal(const FrontLayout& layout, const Kernels& kernels, Wo
 }
 
 std::int32_t Multifrontal::factorize(std::span<const double> values,
-                                     std::span<const double> damping) {
+                                     std::span<const double> damping,
+                                     std::span<const Element> elements) {
   values_ = values;
   damping_ = damping;
+  elements_ = elements;
   failed_.store(kNone, std::memory_order_relaxed);
   {
     const WorkerPool::Session session(pool_);
@@ -126,6 +128,9 @@ template <class Threads>
 void Multifrontal::process(std::int32_t f, int rank, Threads&& threads) {
   constexpr std::int32_t kPanel = Kernels::kPanel, kTile = Kernels::kTile;
   const Front front = layout_.front(f, factor_.data(), contribution(f, rank));
+  if (const std::int32_t element = layout_.tree().element[f]; element >= 0) {
+    return copy_element(front.cb, f, elements_[element]);
+  }
   // The number of rows of whole blocks in about a panel.
   const std::int32_t whole = kPanel / layout_.block_size() * layout_.block_size();
   std::int32_t failed;
@@ -133,6 +138,7 @@ void Multifrontal::process(std::int32_t f, int rank, Threads&& threads) {
     threads.for_each(chunks(front.pivots, whole), [&](std::int32_t i, int) {
       assemble_pivots(front, f, rank, i * whole, std::min((i + 1) * whole, front.pivots));
     });
+    if (layout_.tree().is_boundary(f)) return;
     failed = eliminate(front, f, rank, threads);
   } while (failed >= 0 && matters(f) && fix(layout_.first(f) + failed));
   if (failed >= 0) return report_failed(layout_.first(f) + failed);
@@ -149,6 +155,32 @@ void Multifrontal::process(std::int32_t f, int rank, Threads&& threads) {
     add_children(front, f, rank, front.pivots + i * kPanel,
                  front.pivots + std::min((i + 1) * kPanel, front.rows));
   });
+}
+
+// Sets the contribution block of an element, whose rows are in the elimination order.
+void Multifrontal::copy_element(double* to, std::int32_t f, const Element& element) const {
+  const AssemblyTree& tree = layout_.tree();
+  const std::int64_t ld = layout_.shape(f).ld21;
+  const int d = layout_.block_size();
+  const std::int64_t scalars = static_cast<std::int64_t>(element.nodes.size()) * d;
+  std::vector<std::int64_t> given;  // the first scalar of each row's node in the element
+  for (const std::int32_t row : tree.rows(f)) {
+    const auto found = std::find(element.nodes.begin(), element.nodes.end(), tree.order[row]);
+    given.push_back((found - element.nodes.begin()) * d);
+  }
+  const auto value = [&](std::int64_t i, std::int64_t j) {
+    if (i < j) std::swap(i, j);
+    return element.block[j * scalars - j * (j - 1) / 2 + i - j];
+  };
+  for (std::size_t column = 0; column < given.size(); ++column) {
+    for (int j = 0; j < d; ++j, to += ld) {
+      for (std::size_t row = column; row < given.size(); ++row) {
+        for (int i = 0; i < d; ++i) {
+          to[static_cast<std::int64_t>(row) * d + i] = value(given[row] + i, given[column] + j);
+        }
+      }
+    }
+  }
 }
 
 void Multifrontal::assemble_pivots(const Front& front, std::int32_t f, int rank, std::int32_t begin,

@@ -16,15 +16,24 @@
 
 namespace masat {
 
+// A contribution block that was computed elsewhere: the lower triangle of a symmetric matrix over
+// `nodes`, packed column by column.
+struct Element {
+  std::span<const std::int32_t> nodes;
+  const double* block;
+};
+
 class Multifrontal {
  public:
   // The layout and the pool must outlive this object.
   Multifrontal(const FrontLayout& layout, const Kernels& kernels, WorkerPool& pool);
 
   // Returns -1, or the first index in the elimination order whose pivot failed. The factor is the
-  // same for any number of threads. Throws what check_interrupt() throws.
+  // same for any number of threads. Throws what check_interrupt() throws. `elements` are the
+  // contribution blocks that the elements of the layout stand for.
   [[nodiscard]] std::int32_t factorize(std::span<const double> values,
-                                       std::span<const double> damping);
+                                       std::span<const double> damping,
+                                       std::span<const Element> elements = {});
 
   // The same, but a node whose pivot fails is fixed: `fixing`, or more where that is not enough,
   // replaces its damping, and its front is computed again. Returns a flag for each node.
@@ -59,6 +68,7 @@ class Multifrontal {
   template <class Threads>
   std::int32_t eliminate(const Front& front, std::int32_t f, int rank, Threads&& threads);
   bool matters(std::int32_t f) const;
+  void copy_element(double* to, std::int32_t f, const Element& element) const;
   void report_failed(std::int64_t column);
   bool fix(std::int64_t column) const;
   void poll(int rank, double operations) noexcept;
@@ -73,6 +83,7 @@ class Multifrontal {
   // pivot that is not greater than that floor has failed.
   std::vector<double> reciprocal_, floor_;
   std::span<const double> values_, damping_;
+  std::span<const Element> elements_;
   const Fixing* fixing_ = nullptr;
   std::atomic<std::int64_t> failed_{0};  // the first column so far whose pivot failed
   InterruptPoll poll_;

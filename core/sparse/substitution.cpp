@@ -65,25 +65,28 @@ void Substitution::reserve(int width, int groups) {
   }
 }
 
-void Substitution::solve(const Multifrontal& factor) {
-  const int block = layout_.block_size();
+// A row of blocks has `block` scalars of a group. For one right-hand side, `width` and `block` are
+// compile-time constants, and no look at the signals is needed: it is short beside the
+// factorization.
+void Substitution::run(const Multifrontal& factor, bool reduce, bool substitute) {
+  const WorkerPool::Session session(pool_);
   stopped_.store(false, std::memory_order_relaxed);
+  const auto run_groups = [&](auto width, auto block) {
+    if (reduce) reduce_groups(factor, width, block);
+    if (substitute) substitute_groups(factor, width, block);
+  };
   if (width_ > 1) {
-    solve_groups(factor, width_, block * width_);
+    run_groups(width_, layout_.block_size() * width_);
   } else {
-    with_block_size(block, [&]<int kSize>() {
-      solve_groups(factor, std::integral_constant<int, 1>{}, std::integral_constant<int, kSize>{});
+    with_block_size(layout_.block_size(), [&]<int kSize>() {
+      run_groups(std::integral_constant<int, 1>{}, std::integral_constant<int, kSize>{});
     });
   }
   if (interruption_) std::rethrow_exception(std::exchange(interruption_, nullptr));
 }
 
-// A row of blocks has `block` scalars of a group. For one right-hand side, `width` and `block` are
-// compile-time constants, and no look at the signals is needed: it is short beside the
-// factorization.
 template <class Width, class Block>
-void Substitution::solve_groups(const Multifrontal& factor, Width width, Block block) {
-  const WorkerPool::Session session(pool_);
+void Substitution::reduce_groups(const Multifrontal& factor, Width width, Block block) {
   const auto subtrees = static_cast<std::int32_t>(cut_.subtrees.size());
   const AssemblyTree& tree = layout_.tree();
   const std::int64_t nodes = static_cast<std::int64_t>(tree.order.size()) * block;
@@ -104,8 +107,12 @@ void Substitution::solve_groups(const Multifrontal& factor, Width width, Block b
     }
   }
   for (const std::int32_t f : cut_.top) forward(factor, f, 0, width, block);
+}
+
+template <class Width, class Block>
+void Substitution::substitute_groups(const Multifrontal& factor, Width width, Block block) {
   for (auto f = cut_.top.rbegin(); f != cut_.top.rend(); ++f) backward(factor, *f, 0, width, block);
-  pool_.for_each(subtrees, [&](std::int32_t s, int rank) {
+  pool_.for_each(static_cast<std::int32_t>(cut_.subtrees.size()), [&](std::int32_t s, int rank) {
     const Subtree& subtree = cut_.subtrees[s];
     for (std::int32_t f = subtree.last; f >= subtree.first; --f) {
       backward(factor, f, rank, width, block);
@@ -116,6 +123,7 @@ void Substitution::solve_groups(const Multifrontal& factor, Width width, Block b
 template <class Width, class Block>
 void Substitution::forward(const Multifrontal& factor, std::int32_t f, int rank, Width width,
                            Block block) {
+  if (!layout_.tree().is_eliminated(f)) return;
   const Front front = factor.front(f);
   if (width > 1 && !goes_on(front, rank)) return;
   const auto kernel = width == 1 ? kernels_.forward : kernels_.forward_wide;
@@ -141,6 +149,7 @@ void Substitution::forward(const Multifrontal& factor, std::int32_t f, int rank,
 template <class Width, class Block>
 void Substitution::backward(const Multifrontal& factor, std::int32_t f, int rank, Width width,
                             Block block) {
+  if (!layout_.tree().is_eliminated(f)) return;
   const Front front = factor.front(f);
   if (width > 1 && !goes_on(front, rank)) return;
   const auto kernel = width == 1 ? kernels_.backward : kernels_.backward_wide;

@@ -31,12 +31,19 @@ class Substitution {
   double* group(int index) { return values_.data() + index * group_size(); }
 
   // Overwrites the right-hand sides with the solutions. Throws what check_interrupt() throws.
-  void solve(const Multifrontal& factor);
+  void solve(const Multifrontal& factor) { run(factor, true, true); }
+  // The two halves of it. Between them, the values of the boundary are those of the reduced
+  // right-hand side, for which its solution has to be put in.
+  void reduce(const Multifrontal& factor) { run(factor, true, false); }
+  void substitute(const Multifrontal& factor) { run(factor, false, true); }
 
  private:
   std::int64_t group_size() const { return rows_ * layout_.block_size() * width_; }
+  void run(const Multifrontal& factor, bool reduce, bool substitute);
   template <class Width, class Block>
-  void solve_groups(const Multifrontal& factor, Width width, Block block);
+  void reduce_groups(const Multifrontal& factor, Width width, Block block);
+  template <class Width, class Block>
+  void substitute_groups(const Multifrontal& factor, Width width, Block block);
   template <class Width, class Block>
   void forward(const Multifrontal& factor, std::int32_t f, int rank, Width width, Block block);
   template <class Width, class Block>
@@ -56,7 +63,7 @@ class Substitution {
   std::vector<AlignedBuffer> front_;  // of each thread: the values at a front's pivots and its rows
   InterruptPoll poll_;
   std::atomic<bool> stopped_{false};
-  std::exception_ptr interruption_;  // thrown in the first thread, and not yet by solve
+  std::exception_ptr interruption_;  // thrown in the first thread, and not yet by run
 };
 
 }  // namespace masat

@@ -20,7 +20,8 @@ std::vector<Supernode> find_fundamental(const EliminationTree& tree,
   partition.of_node.resize(n);
   for (std::int32_t k = 0; k < n; ++k) {
     const bool continues = k > 0 && tree.parent[k - 1] == k && children[k] == 1 &&
-                           tree.count[k - 1] == tree.count[k] + 1;
+                           tree.count[k - 1] == tree.count[k] + 1 && !tree.is_element(k - 1) &&
+                           k != tree.boundary();
     if (!continues) supernodes.push_back({0, 0});
     ++supernodes.back().pivots;
     supernodes.back().rows = tree.count[k] - 1;
@@ -37,17 +38,20 @@ std::vector<Supernode> find_fundamental(const EliminationTree& tree,
 
 // Greedy, from the leaves up. Returns the supernode into which each one is merged in the end.
 std::vector<std::int32_t> amalgamate(std::vector<Supernode>& supernodes,
-                                     std::span<const std::int32_t> parent, int block_size) {
+                                     std::span<const std::int32_t> parent,
+                                     const std::vector<bool>& apart, int block_size) {
   const auto n = static_cast<std::int32_t>(supernodes.size());
   const Children children(parent);
   std::vector<std::int32_t> merged_into(n), by_rows;
   for (std::int32_t p = 0; p < n; ++p) {
     merged_into[p] = p;
+    if (apart[p]) continue;
     by_rows.assign(children.of(p).begin(), children.of(p).end());
     std::stable_sort(by_rows.begin(), by_rows.end(), [&](std::int32_t a, std::int32_t b) {
       return supernodes[a].rows > supernodes[b].rows;
     });
     for (const std::int32_t c : by_rows) {
+      if (apart[c]) continue;
       const Supernode merged{supernodes[p].pivots + supernodes[c].pivots, supernodes[p].rows};
       if (front_cost(merged, block_size) <=
           front_cost(supernodes[p], block_size) + front_cost(supernodes[c], block_size)) {
@@ -65,8 +69,13 @@ std::vector<std::int32_t> amalgamate(std::vector<Supernode>& supernodes,
 SupernodePartition find_supernodes(const EliminationTree& tree, int block_size) {
   SupernodePartition fundamental;
   std::vector<Supernode> supernodes = find_fundamental(tree, fundamental);
+  // Elements and the boundary are not eliminated.
+  std::vector<bool> apart(supernodes.size(), false);
+  for (std::int32_t k = 0; k < tree.nodes(); ++k) {
+    if (tree.is_element(k) || k >= tree.boundary()) apart[fundamental.of_node[k]] = true;
+  }
   const std::vector<std::int32_t> merged_into =
-      amalgamate(supernodes, fundamental.parent, block_size);
+      amalgamate(supernodes, fundamental.parent, apart, block_size);
 
   std::vector<std::int32_t> number(merged_into.size());
   SupernodePartition merged;

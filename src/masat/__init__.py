@@ -21,6 +21,7 @@ from masat.errors import (
     MasatError,
     MasatWarning,
     OptimizationError,
+    PartitionError,
 )
 from masat.evaluation import Evaluation, PoseErrors, evaluate
 from masat.formats import read, read_links, read_observations, write
@@ -41,6 +42,7 @@ from masat.merging import merge
 from masat.online import OnlineMap
 from masat.optimality.certificate import Certificate, certify
 from masat.optimizers import Iteration, Result, StopReason, optimize
+from masat.parts import Partition, PartitionResult, partition
 from masat.plotting import plot
 from masat.solver import solve
 from masat.viewing import view
@@ -61,6 +63,9 @@ __all__ = [
     "MasatWarning",
     "OnlineMap",
     "OptimizationError",
+    "Partition",
+    "PartitionError",
+    "PartitionResult",
     "PoseErrors",
     "PoseGraph",
     "Priors",
@@ -81,6 +86,7 @@ __all__ = [
     "landmarks",
     "merge",
     "optimize",
+    "partition",
     "plot",
     "pose_priors",
     "range_bearing",

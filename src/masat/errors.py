@@ -77,6 +77,10 @@ class OptimizationError(MasatError, ValueError):
     """An optimization that cannot start as asked."""
 
 
+class PartitionError(MasatError, ValueError):
+    """A graph that cannot be cut into parts as asked, or files of parts that do not fit."""
+
+
 class EvaluationError(MasatError, ValueError):
     """A comparison with the truth that is not possible as asked."""
 

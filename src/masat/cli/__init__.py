@@ -20,6 +20,8 @@ _COMMANDS = {
     "info": "Say what a pose graph is like and what is wrong with it.",
     "compare": "Solve a pose graph from every initial guess and compare.",
     "replay": "Feed a pose graph to a map that grows, pose by pose, and time the steps.",
+    "partition": "Cut a pose graph into parts, for maps beyond one machine.",
+    "status": "Tell how far the solve of a graph in parts is.",
     "certify": "Tell whether the poses of a file are globally optimal.",
     "evaluate": "Compare a map with the truth: ATE and RPE.",
     "convert": "Convert a pose graph to another format.",

@@ -8,8 +8,10 @@ from pathlib import Path
 import click
 
 from masat.cli import options, show
+from masat.cli.partition import describe
 from masat.diagnostics import Diagnosis, diagnose
 from masat.errors import MasatError
+from masat.parts import Partition
 
 
 @click.command(epilog="Example:  masat info M3500.g2o")
@@ -31,8 +33,15 @@ def info(
 ) -> None:
     """Describe the pose graph in FILE: sizes, connectivity, information, fit, and issues.
 
+    Of a folder that masat partition made, say what a solve on how many workers costs.
+
     Each issue says what was found, and then what to do before a result is trusted.
     """
+    if file.is_dir():
+        if picture is not None:
+            raise click.UsageError("--plot does not go with a folder of parts")
+        describe(Partition(file), as_json)
+        return
     options.check_picture(picture)
     graph = options.load(file, file_format, indefinite, quiet=True)
     if picture is not None and graph.poses is None:

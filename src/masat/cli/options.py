@@ -78,7 +78,7 @@ def load_any(
     """Read FILE as what it is, a graph or a saved result, and print its notes."""
     loaded: PoseGraph | Result
     max_bytes = click.get_current_context().meta.get(_MAX_BYTES, MAX_BYTES)
-    if file_format is None and _is_saved_result(file):
+    if file_format is None and is_saved_result(file):
         loaded = Result.load(file)
     else:
         loaded = read(file, format=file_format, indefinite=indefinite, max_bytes=max_bytes)
@@ -87,7 +87,8 @@ def load_any(
     return loaded
 
 
-def _is_saved_result(file: Path) -> bool:
+def is_saved_result(file: Path) -> bool:
+    """Tell whether a file is a saved result."""
     if not file.is_file():
         return False
     with file.open("rb") as content:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from masat.arrays import AnyArray, Floats, Ids
 from masat.cli import options, show
 from masat.cli.progress import Steps
 from masat.formats import format_of, write
+from masat.graph import PoseGraph
 from masat.online.growing import TOLERANCE, OnlineMap
 
 if TYPE_CHECKING:
@@ -63,9 +65,9 @@ def replay(
 ) -> None:
     """Feed the graph in FILE to a map that grows, pose by pose, and say how long the steps take.
 
-    Poses arrive in the order of their ids, each with its edges to earlier ones, as a front end
-    would add them. After each step all poses are read. At the end the map is compared with the
-    optimum of all edges.
+    Poses arrive in the order of their ids, each with its edges to earlier ones, its priors and what
+    it saw of landmarks, as a front end would add them. After each step all poses are read. At the
+    end the map is compared with the optimum of all measurements.
     """
     from masat.online.stream import replay as replayed
 
@@ -97,8 +99,7 @@ def replay(
         edges, closures = _judged(run)
         left_out = np.zeros(len(graph.edges), np.bool_)
         left_out[edges[~closures["kept"]]] = True
-        poses = optimum.poses[optimum.graph.index(graph.ids)]
-        write(graph.without_edges(left_out).with_poses(poses), out)
+        write(_with_map(graph.without_edges(left_out), optimum.graph), out)
     if film is not None:
         from masat.plotting.film import write_film
 
@@ -130,7 +131,7 @@ def replay(
         written = [str(path) for path in (out, film) if path is not None]
         show.rows(
             [
-                ("steps", f"{len(graph)}, with {len(graph.edges)} edges"),
+                ("steps", f"{len(graph)}, with {_contents(graph)}"),
                 ("time", show.duration(float(run.seconds.sum()))),
                 (
                     "a step",
@@ -139,6 +140,7 @@ def replay(
                     f"{milliseconds.max():.3g} ms",
                 ),
                 *_row_of_closures(run, len(rejected)),
+                *_row_of_waiting(run),
                 ("chi2", f"{chi2:.6g} after the last step"),
                 (
                     "optimum",
@@ -147,6 +149,36 @@ def replay(
                 ("written", ", ".join(written) or "nothing: name a file with -o"),
             ]
         )
+
+
+def _contents(graph: PoseGraph) -> str:
+    """Return how many edges, priors and observations a graph has."""
+    parts = [_counted(len(graph.edges), "edge")]
+    if graph.priors is not None:
+        parts.append(_counted(len(graph.priors), "prior"))
+    if graph.landmarks is not None:
+        observations = _counted(len(graph.landmarks.observations), "observation")
+        parts.append(f"{observations} of {_counted(len(graph.landmarks), 'landmark')}")
+    return ", ".join(parts)
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def _with_map(graph: PoseGraph, found: PoseGraph) -> PoseGraph:
+    """Return a graph with the poses of a map, and those landmarks that the map has placed."""
+    assert found.poses is not None
+    out = graph.with_poses(found.poses[found.index(graph.ids)])
+    seen = graph.landmarks
+    if seen is None:
+        return out
+    if graph.priors is not None:
+        known = np.isin(graph.priors.ids, np.concatenate([graph.ids, found.point_ids]))
+        out = out.with_priors(graph.priors.rows(known))
+    rows = np.isin(seen.observations[:, 1], found.point_ids)
+    placed = replace(seen.observed(rows), ids=found.point_ids, positions=found.points)
+    return out.with_landmarks(placed if len(placed) else None)
 
 
 def _judged(run: Replay) -> tuple[Ids, AnyArray]:
@@ -178,3 +210,21 @@ def _row_of_closures(run: Replay, before: int) -> list[tuple[str, str]]:
     if last != before:
         said += f" and {last} are after a decision on all together"
     return [("closures", said)]
+
+
+def _row_of_waiting(run: Replay) -> list[tuple[str, str]]:
+    waiting = [
+        _counted(len(numbers), noun)
+        for numbers, noun in (
+            (run.map.waiting_priors, "prior"),
+            (run.map.waiting_observations, "observation"),
+        )
+        if len(numbers)
+    ]
+    if not waiting:
+        return []
+    count = len(run.map.waiting_priors) + len(run.map.waiting_observations)
+    rest = "that does not determine yet where what it measures lies"
+    if count > 1:
+        rest = "that do not determine yet where what they measure lies"
+    return [("waiting", f"{' and '.join(waiting)} {rest}: no part of the map")]

@@ -7,15 +7,30 @@ from time import perf_counter
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from masat.cli import EXIT_NOT_CONVERGED, options, show
 from masat.cli.decisions import rejected_part, rows_of_decision
+from masat.cli.partition import solve_parts
 from masat.cli.progress import Iterations, Stages
 from masat.formats import format_of, read_edge_list, write
 from masat.graph import PoseGraph
 from masat.optimizers import Result
 from masat.outliers import Suspicion
 from masat.solver import solve as solved
+
+# Options that only a folder of parts takes, and others that it takes too.
+_OF_PARTS = ("scheduler", "memory", "restart")
+_TAKEN_BY_PARTS = (
+    "file",
+    "out",
+    "init",
+    "optimizer",
+    "max_iterations",
+    "tolerance",
+    "as_json",
+    "quiet",
+)
 
 
 @click.command(
@@ -60,6 +75,23 @@ from masat.solver import solve as solved
 )
 @options.robust_loss
 @options.optimizer
+@click.option(
+    "--scheduler",
+    help="For a folder of parts: Dask scheduler to run on, such as tcp://host:8786.  "
+    "[default: this process solves the parts one after the other]",
+)
+@click.option(
+    "--memory",
+    type=click.IntRange(min=0),
+    metavar="BYTES",
+    help="For a folder of parts without --scheduler: memory for their factors; what does not fit "
+    "is computed again.  [default: a quarter of the machine's memory]",
+)
+@click.option(
+    "--restart",
+    is_flag=True,
+    help="For a folder of parts: begin again, in the place of going on where a solve ended.",
+)
 @options.output
 @click.pass_context
 def solve(
@@ -84,6 +116,9 @@ def solve(
     max_iterations: int,
     tolerance: float,
     threads: int | None,
+    scheduler: str | None,
+    memory: int | None,
+    restart: bool,
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -93,7 +128,30 @@ def solve(
     position fixes, the smallest id is not optimized, or the node named with --root.
 
     Ctrl-C ends the search with the best map so far, which is still written.
+
+    In the place of FILE stands a folder that masat partition made to solve it part by part. Its
+    poses are written there after each iteration, and the same command goes on where it ended.
     """
+    if file.is_dir():
+        _refuse_options(ctx)
+        solve_parts(
+            ctx,
+            file,
+            out,
+            init,
+            optimizer,
+            max_iterations,
+            tolerance,
+            scheduler,
+            memory,
+            restart,
+            as_json,
+            quiet,
+        )
+        return
+    for name in _OF_PARTS:
+        if _is_given(ctx, name):
+            raise click.UsageError(f"--{name} goes with a folder that masat partition made")
     if rejected is not None and not robust:
         raise click.UsageError("--rejected goes with --robust")
     options.check_outputs(file, out, rejected, save, picture)
@@ -165,6 +223,18 @@ def solve(
         if quiet or as_json:
             click.echo(f"masat: {file}: {result.message}", err=True)
         ctx.exit(EXIT_NOT_CONVERGED)
+
+
+def _is_given(ctx: click.Context, name: str) -> bool:
+    return ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE
+
+
+def _refuse_options(ctx: click.Context) -> None:
+    """Refuse the options that a folder of parts does not take."""
+    for parameter in ctx.command.params:
+        name = parameter.name or ""
+        if _is_given(ctx, name) and name not in (*_TAKEN_BY_PARTS, *_OF_PARTS):
+            raise click.UsageError(f"{parameter.opts[-1]} does not go with a folder of parts")
 
 
 def _without(graph: PoseGraph, file: Path | None, quiet: bool) -> PoseGraph:

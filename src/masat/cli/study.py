@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from masat.cli import EXIT_NOT_CONVERGED, show
+from masat.cli.cluster import connect
 from masat.study import (
     ClosureTrial,
     Store,
@@ -212,14 +213,7 @@ def _engine(
     """Return threads, and the function that runs a case: in the thread, or on the cluster."""
     if scheduler is None:
         return ThreadPoolExecutor(workers), run_case
-    try:
-        import distributed
-    except ImportError:
-        raise StudyError("--scheduler needs Dask: pip install 'masat[cluster]'") from None
-    try:
-        client: Any = distributed.Client(scheduler, timeout="20s")  # type: ignore[no-untyped-call]
-    except OSError as error:
-        raise StudyError(f"no Dask scheduler answers at {scheduler}: {error}") from None
+    client = connect(scheduler, StudyError)
     # Twice as many cases are submitted as run at a time, so that no worker of the cluster waits.
     waiting = 2 * max(1, sum(client.nthreads().values()))
     return ThreadPoolExecutor(waiting), on_cluster(client)

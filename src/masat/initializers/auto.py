@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from masat import _core
 from masat.graph import PoseGraph
+from masat.initializers.cauchy import cauchy
 from masat.initializers.chordal import chordal
-from masat.optimality.best import best_minimum
+from masat.initializers.masat import masat
+from masat.initializers.most_informed_first import most_informed_first
+from masat.optimality.best import Start, best_minimum
 from masat.progress import Progress
+
+
+def other_guesses(progress: Progress | None) -> list[Start]:
+    """Return cheap initial guesses that differ much: where one is wrong, another may not be."""
+    return [partial(cauchy, progress=progress), masat, most_informed_first]
 
 
 def auto(
@@ -43,5 +53,7 @@ def auto(
         If the graph cannot be optimized.
     """
     guess = chordal(graph)
-    found = best_minimum(guess, seed=seed, progress=progress, equations=equations)
+    found = best_minimum(
+        guess, starts=other_guesses(progress), seed=seed, progress=progress, equations=equations
+    )
     return guess.with_poses(found.poses, notes=found.notes)

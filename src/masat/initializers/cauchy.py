@@ -11,12 +11,19 @@ from masat.optimizers.equations import normal_equations, rounding_level
 from masat.optimizers.levenberg_marquardt import levenberg_marquardt
 from masat.optimizers.losses import robust_cost
 from masat.optimizers.reweighting import robust_equations
-from masat.optimizers.termination import Termination
+from masat.optimizers.termination import Iteration, Termination
+from masat.progress import Progress
 
 _TOLERANCE = 1e-4
 
 
-def cauchy(graph: PoseGraph, *, scale: float = 1.0, iterations: int = 50) -> PoseGraph:
+def cauchy(
+    graph: PoseGraph,
+    *,
+    scale: float = 1.0,
+    iterations: int = 50,
+    progress: Progress | None = None,
+) -> PoseGraph:
     """Optimize odometry under a robust cost, in which edges that contradict it have little weight.
 
     Minimizes the sum of c^2 log(1 + chi2 / c^2) over the edges, c being the scale, by
@@ -35,6 +42,8 @@ def cauchy(graph: PoseGraph, *, scale: float = 1.0, iterations: int = 50) -> Pos
     iterations : int
         Limit of the iterations, each as expensive as one of an optimizer. They end when the cost
         changes by less than 1e-4 of itself; 25, or a change of 1e-3, led to worse minima.
+    progress : Progress, optional
+        What limits the time.
 
     Returns
     -------
@@ -61,8 +70,12 @@ def cauchy(graph: PoseGraph, *, scale: float = 1.0, iterations: int = 50) -> Pos
     assert guess.poses is not None
     poses = guess.poses
     if len(guess.elimination.free_nodes()):
+
+        def stop(_: Iteration) -> bool:
+            return progress is not None and progress.over
+
         cost = robust_cost(guess, "cauchy", scale)
         equations = robust_equations(guess, normal_equations(guess), cost)
         termination = Termination(iterations, _TOLERANCE, 0.0, 0.0, rounding_level(guess))
-        poses = levenberg_marquardt(equations, poses, termination, lambda _: None).poses
+        poses = levenberg_marquardt(equations, poses, termination, stop).poses
     return guess.with_poses(poses, notes=[])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from masat import _core
 from masat.graph import PoseGraph
+from masat.initializers.auto import other_guesses
 from masat.initializers.chordal import chordal
 from masat.optimality.best import best_minimum
 from masat.optimality.relaxation import polish
@@ -24,7 +25,9 @@ def lifted(
     Wu, Mahony, Carlone, Shonan rotation averaging, ECCV 2020. Parameters as of `auto`.
     """
     guess = chordal(graph)
-    found = best_minimum(guess, seed=seed, progress=progress, equations=equations)
+    found = best_minimum(
+        guess, starts=other_guesses(progress), seed=seed, progress=progress, equations=equations
+    )
     poses = found.poses
     if found.first_is_plausible:
         poses = polish(guess.with_poses(poses))

@@ -10,6 +10,7 @@ map that fits the others shows where they are.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -137,9 +138,19 @@ def _unmeasured(seen: Landmarks, chosen: Flags) -> int:
 def _triangulated(graph: PoseGraph, chosen: Flags) -> tuple[PoseGraph, list[str]]:
     """Return the graph with some of its landmarks placed at its poses, and notes."""
     assert graph.points is not None
-    points = graph.points.copy()
-    points[chosen], notes = _Triangulation(graph, chosen).positions()
-    return graph.with_points(points), notes
+    assert graph.poses is not None
+    assert graph.landmarks is not None
+    points, seen = graph.points.copy(), graph.landmarks
+    rows = np.isin(seen.observations[:, 1], seen.ids[chosen])
+    seen = replace(seen.observed(rows), ids=seen.ids[chosen], positions=None)
+    steps = np.sqrt(np.square(graph.measurements[:, : graph.dimension]).sum(axis=1))
+    found = triangulated(
+        seen,
+        graph.poses[graph.index(seen.observations[:, 0])],
+        usual=_USUAL_STEPS * float(np.median(steps[steps > 0])) if steps.any() else 1.0,
+    )
+    points[chosen] = found.points
+    return graph.with_points(points), found.notes
 
 
 def _to_triangulate(graph: PoseGraph) -> Flags:
@@ -157,24 +168,52 @@ def _to_triangulate(graph: PoseGraph) -> Flags:
     return np.isin(seen.ids, polar) & ~np.isin(seen.ids, placed)
 
 
+class Triangulated(NamedTuple):
+    """Landmarks at fixed poses.
+
+    Attributes
+    ----------
+    points : ndarray, (k, d)
+        The best positions.
+    information : ndarray, (k, d, d)
+        Their information, the poses being known.
+    doubtful : ndarray of bool, (k,)
+        Which of them have another position that is as good.
+    notes : list of str
+        Sentences about these.
+    """
+
+    points: Floats
+    information: Floats
+    doubtful: Flags
+    notes: list[str]
+
+
+def triangulated(seen: Landmarks, poses: Floats, usual: float) -> Triangulated:
+    """Place landmarks that no single observation places.
+
+    Parameters
+    ----------
+    seen : Landmarks
+        The observations.
+    poses : ndarray, (l, 3) or (l, 7)
+        The known pose of each observation.
+    usual : float
+        Distance in meters at which to look for a landmark where no range tells how far it is.
+    """
+    return _Triangulation(seen, poses, usual).result()
+
+
 class _Triangulation:
     """Landmarks that no single observation places, and what is seen of them from known poses."""
 
-    def __init__(self, graph: PoseGraph, chosen: Flags) -> None:
-        seen, poses = graph.landmarks, graph.poses
-        assert seen is not None
-        assert poses is not None
-        self._ids = seen.ids[chosen]
-        rows = np.isin(seen.observations[:, 1], self._ids)
-        self._seen = replace(seen.observed(rows), ids=self._ids, positions=None)
-        self._at = np.searchsorted(self._ids, self._seen.observations[:, 1])
-        self._poses = poses[graph.index(self._seen.observations[:, 0])]
-        self._d, self._count = graph.dimension, len(self._ids)
-        steps = np.sqrt(np.square(graph.measurements[:, : self._d]).sum(axis=1))
-        self._usual = _USUAL_STEPS * float(np.median(steps[steps > 0])) if steps.any() else 1.0
+    def __init__(self, seen: Landmarks, poses: Floats, usual: float) -> None:
+        self._ids, self._seen, self._poses, self._usual = seen.ids, seen, poses, usual
+        self._at = np.searchsorted(self._ids, seen.observations[:, 1])
+        self._d, self._count = seen.dimension, len(self._ids)
 
-    def positions(self) -> tuple[Floats, list[str]]:
-        """Return the best positions, (k, d), and notes where others are as good."""
+    def result(self) -> Triangulated:
+        """Return the best positions, and notes where others are as good."""
         found = [self._refined(candidate) for candidate in self._candidates()]
         points = np.stack([points for points, _, _ in found])
         costs = np.stack([cost for _, cost, _ in found])
@@ -198,7 +237,7 @@ class _Triangulation:
                 f"two positions fit what was measured of {len(doubtful) - _MAX_NOTES} more "
                 "landmarks about as well"
             )
-        return nearest, notes
+        return Triangulated(nearest, information, np.isfinite(rival[second, every]), notes)
 
     def _candidates(self) -> list[Floats]:
         """Return positions to begin at, each (k, d)."""

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from masat import _checks as checks
 from masat import _core, lie
-from masat.arrays import Floats, Ids, Indices
+from masat.arrays import Flags, Floats, Ids
 from masat.errors import GraphError, InformationError
 from masat.information import indefinite
-from masat.measurements.priors import Priors
+from masat.measurements import Landmarks, Priors
 
 
 def checked_id(node: Any) -> int:
@@ -97,6 +97,12 @@ def checked_edges(
             "add it with add_pose",
             edge=int(k),
         )
+    for k, end in np.argwhere([[core.is_point(int(i)) for i in pair] for pair in pairs])[:1]:
+        raise GraphError(
+            f"{checks.edge_name(pairs, k)} names node {pairs[k, end]}, which is a landmark: add "
+            "what poses saw of it with add_observations",
+            edge=int(k),
+        )
     checks.no_loops(pairs)
     z = checks.rotations(z, "measurement", pairs, "edge")
     w = checks.information_matrices(information, pairs, lie.DOF[dimension])
@@ -112,8 +118,8 @@ def checked_edges(
     return pairs, z, w
 
 
-def checked_priors(core: _core.OnlineMap, priors: Priors, dimension: int) -> Indices:
-    """Return the indices of the nodes of priors.
+def check_priors(core: _core.OnlineMap, priors: Priors, dimension: int) -> None:
+    """Refuse priors of another dimension, on unknown nodes, or on the rotation of a landmark.
 
     Raises
     ------
@@ -126,15 +132,56 @@ def checked_priors(core: _core.OnlineMap, priors: Priors, dimension: int) -> Ind
         )
     if priors.dimension != dimension:
         raise GraphError(f"the map is {dimension}D, and the priors are {priors.dimension}D")
+    turned: Flags = np.asarray(priors.information[:, dimension:].any(axis=(1, 2)))
     if priors.offsets is not None:
+        turned |= (priors.offsets[:, :dimension] != 0).any(axis=1)
+    for k, node in enumerate(priors.ids.tolist()):
+        if core.find(node) < 0:
+            raise GraphError(
+                f"prior {k} names node {node}, which has not been added: add it with add_pose",
+                node=node,
+            )
+        if turned[k] and core.is_point(node):
+            raise GraphError(
+                f"prior {k} of landmark {node} measures a rotation or has an offset: a point has a "
+                "position alone",
+                node=node,
+            )
+
+
+def check_observations(core: _core.OnlineMap, seen: Landmarks, dimension: int) -> None:
+    """Refuse landmarks of another dimension, with the id of a pose, or seen by unknown poses.
+
+    Raises
+    ------
+    GraphError
+        As `OnlineMap.add_observations`.
+    """
+    if not isinstance(seen, Landmarks):
         raise GraphError(
-            "a map that grows takes no priors with sensor offsets: leave the lever arm out, or "
-            "solve the whole graph with masat.solve"
+            "observations are made by masat.landmarks or masat.range_bearing, got "
+            f"{type(seen).__name__}"
         )
-    nodes = np.array([core.find(node) for node in priors.ids.tolist()], np.int32)
-    for unknown in priors.ids[nodes < 0][:1]:
-        raise GraphError(
-            f"a prior names node {unknown}, which has not been added: add it with add_pose",
-            node=int(unknown),
-        )
-    return nodes
+    if seen.dimension != dimension:
+        raise GraphError(f"the map is {dimension}D, and the landmarks are {seen.dimension}D")
+    for node in seen.ids.tolist():
+        if core.find(node) >= 0 and not core.is_point(node):
+            raise GraphError(
+                f"the id {node} is that of a pose and of a landmark: choose another", node=node
+            )
+    if seen.positions is None:
+        observed = set(seen.observations[:, 1].tolist())
+        for node in seen.ids.tolist():
+            if node not in observed and core.find(node) < 0:
+                raise GraphError(
+                    f"landmark {node} has neither an observation nor a position: leave it out",
+                    node=node,
+                )
+    for k, (pose, point) in enumerate(seen.observations.tolist()):
+        if core.find(pose) < 0 or core.is_point(pose):
+            what = "is a landmark" if core.find(pose) >= 0 else "has not been added"
+            raise GraphError(
+                f"observation {k} ({pose} -> {point}) names pose {pose}, which {what}: add poses "
+                "with add_pose",
+                edge=k,
+            )

@@ -405,7 +405,7 @@ class Arrivals:
 
     def _log_volume(self, core: _core.OnlineMap) -> float:
         if core.nodes() > _GROWTH * self._nodes:
-            self._nodes, self._volume = core.nodes(), log_volume(core.poses()[1:])
+            self._nodes, self._volume = core.nodes(), log_volume(core.poses()[~core.points()][1:])
         return self._volume
 
     def _block(self, row: int) -> tuple[int, int]:

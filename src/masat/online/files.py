@@ -11,17 +11,18 @@ import numpy as np
 
 from masat import _checks as checks
 from masat import lie
-from masat.arrays import AnyArray, Ids, Indices
+from masat.arrays import AnyArray
 from masat.errors import FormatError
 from masat.files import DAMAGED, write_atomically
 from masat.graph import PoseGraph
-from masat.measurements.priors import Priors, pose_priors
 from masat.online.arrivals import STATES, is_kept, record_of
-from masat.online.waiting_priors import record_of_priors
+from masat.online.contents import graph_of, roots_of
+from masat.online.sensor_rows import landmarks_of, priors_of, record_of_rows, rows_of
 
-_VERSION = 2
+_VERSION = 3
 _ARRAYS = {
     "ids": np.int64,
+    "points": np.bool_,
     "poses": np.float64,
     "linearized": np.float64,
     "roots": np.int32,
@@ -29,10 +30,12 @@ _ARRAYS = {
     "edges": np.int64,
     "measurements": np.float64,
     "information": np.float64,
-    "prior_numbers": np.int64,
-    "prior_ids": np.int64,
-    "prior_measurements": np.float64,
-    "prior_information": np.float64,
+    "sensor_numbers": np.int64,
+    "sensor_ends": np.int32,
+    "sensor_measurements": np.float64,
+    "sensor_information": np.float64,
+    "sensor_offsets": np.float64,
+    "sensor_range_bearing": np.bool_,
 }
 
 
@@ -93,30 +96,13 @@ def read_map(path: Path) -> tuple[int, float, dict[str, Any], AnyArray | None]:
     return dimension, tolerance, contents, closures
 
 
-def graph_of(contents: dict[str, Any]) -> PoseGraph:
-    """Return the graph of a map's contents."""
-    d = contents["poses"].shape[1]
-    priors = Priors(
-        contents["prior_ids"],
-        contents["prior_measurements"].reshape(-1, d),
-        contents["prior_information"],
-    )
-    return PoseGraph.from_arrays(
-        contents["edges"],
-        contents["measurements"].reshape(-1, d),
-        contents["information"],
-        ids=contents["ids"],
-        poses=contents["poses"],
-        priors=priors if len(priors) else None,
-    )
-
-
 def _fits(dimension: int, tolerance: float, c: dict[str, Any]) -> bool:
     """Tell whether the contents are those of a map; ValueErrors tell more."""
     n, size, dof = len(c["ids"]), lie.POSE_SIZE[dimension], lie.DOF[dimension]
-    m, p = len(c["edge_numbers"]), len(c["prior_numbers"])
+    m, p = len(c["edge_numbers"]), len(c["sensor_numbers"])
     shapes = {
         "ids": (n,),
+        "points": (n,),
         "poses": (n, size),
         "linearized": (n, size),
         "roots": (n,),
@@ -124,18 +110,20 @@ def _fits(dimension: int, tolerance: float, c: dict[str, Any]) -> bool:
         "edges": (m, 2),
         "measurements": (m, size),
         "information": (m, dof, dof),
-        "prior_numbers": (p,),
-        "prior_ids": (p,),
-        "prior_measurements": (p, size),
-        "prior_information": (p, dof, dof),
+        "sensor_numbers": (p,),
+        "sensor_ends": (p, 2),
+        "sensor_measurements": (p, size),
+        "sensor_information": (p, dof, dof),
+        "sensor_offsets": (p, size),
+        "sensor_range_bearing": (p,),
     }
     if any(c[name].shape != shape for name, shape in shapes.items()) or not 0 <= tolerance < 1:
         return False
-    for numbers in (c["edge_numbers"], c["prior_numbers"]):
+    for numbers in (c["edge_numbers"], c["sensor_numbers"]):
         in_range = (numbers >= 0) & (numbers < c["next_edge"])
         if not in_range.all() or (np.diff(numbers) <= 0).any():
             return False
-    if np.isin(c["prior_numbers"], c["edge_numbers"]).any():
+    if np.isin(c["sensor_numbers"], c["edge_numbers"]).any():
         return False
     # The core takes quaternions only if their length is 1 up to rounding.
     for name in ("poses", "linearized"):
@@ -143,40 +131,43 @@ def _fits(dimension: int, tolerance: float, c: dict[str, Any]) -> bool:
     checks.rotations(c["measurements"], "measurement", c["edges"], "edge")
     if n == 0:
         return m == p == 0
-    if p:
-        pose_priors(c["prior_ids"], c["prior_measurements"], c["prior_information"])
+    ends = c["sensor_ends"]
+    if not (((ends >= -1) & (ends < n)).all() and (ends[:, 1] >= 0).all()):
+        return False
+    for name in ("sensor_measurements", "sensor_offsets"):
+        checks.rotations(c[name], name, ends, "edge")
+    if not _are_rows(rows_of(c), c):
+        return False
     graph_of(c | {"poses": c["linearized"]})
     return bool((roots_of(graph_of(c), c["ids"]) == c["roots"]).all())
 
 
-def roots_of(graph: PoseGraph, ids: Ids) -> Indices:
-    """Return the fixed node of the component of each of a graph's ids, (n,).
-
-    It is given by its index among these, which are in the order in which they were added: the first
-    one of the component, or -1 for the world if the component has priors.
-    """
-    at = graph.index(ids)
-    components = graph.structure.components
-    tied = np.zeros(int(components.max(initial=0)) + 1, np.bool_)
-    if graph.priors is not None:
-        tied[components[graph.index(graph.priors.ids)]] = True
-    _, first, own = np.unique(components[at], return_index=True, return_inverse=True)
-    return np.where(tied[components[at]], -1, first[own]).astype(np.int32)
-
-
 def _are_waiting(rows: AnyArray, dimension: int, c: dict[str, Any]) -> bool:
-    """Tell whether these are priors that wait; ValueErrors tell more."""
-    if rows.dtype != record_of_priors(dimension) or rows.ndim != 1:
+    """Tell whether these are priors and observations that wait; ValueErrors tell more."""
+    if rows.dtype != record_of_rows(dimension) or rows.ndim != 1:
         return False
-    if not ((rows["node"] > 0) & (rows["node"] <= len(c["ids"]))).all():
-        return False
-    if (c["ids"][rows["node"] - 1] != rows["id"]).any():
-        return False
-    if len(rows):
-        pose_priors(rows["id"], rows["measurement"], rows["information"])
-    known = np.concatenate([c["edge_numbers"], c["prior_numbers"]])
+    known = np.concatenate([c["edge_numbers"], c["sensor_numbers"]])
     in_range = (rows["number"] >= 0) & (rows["number"] < c["next_edge"])
-    return bool(in_range.all() and not np.isin(rows["number"], known).any())
+    if not in_range.all() or np.isin(rows["number"], known).any():
+        return False
+    return len(rows) == 0 or _are_rows(rows, c)
+
+
+def _are_rows(rows: AnyArray, c: dict[str, Any]) -> bool:
+    """Tell whether priors and observations are on nodes of a map; ValueErrors tell more."""
+    ids, is_point = c["ids"], c["points"]
+    seen = rows[~rows["is_prior"]]
+    if not (
+        np.isin(rows["node"], ids).all()
+        and np.isin(seen["pose"], ids[~is_point]).all()
+        and np.isin(seen["node"], ids[is_point]).all()
+    ):
+        return False
+    d = 2 if c["poses"].shape[1] == 3 else 3
+    # Makes the checks of each.
+    priors_of(rows)
+    landmarks_of(rows, ids[is_point], c["poses"][is_point, :d])
+    return not seen["information"][:, d:].any()
 
 
 def _are_closures(closures: AnyArray | None, dimension: int, c: dict[str, Any]) -> bool:

@@ -1,4 +1,4 @@
-"""The map that grows: what a front end adds to it, and what it reads of it."""
+"""The map that grows: what a front end adds to it."""
 
 from __future__ import annotations
 
@@ -12,44 +12,47 @@ from numpy.typing import ArrayLike
 
 from masat import _checks as checks
 from masat import _core, lie
-from masat.arrays import AnyArray, Floats, Ids, Indices
-from masat.covariance import relative_from_blocks
+from masat.arrays import Ids
 from masat.errors import GraphError, OptimizationError
-from masat.graph import PoseGraph
-from masat.measurements.priors import Priors
+from masat.measurements import Landmarks, Priors
 from masat.online.additions import (
     are_plain,
+    check_observations,
+    check_priors,
     checked_edges,
     checked_guess,
     checked_id,
-    checked_priors,
 )
-from masat.online.arrivals import Arrivals
 from masat.online.files import read_map, write_map
+from masat.online.reading import Reading
 from masat.online.review import look_again
-from masat.online.steps import Steps, undetermined
+from masat.online.sensor_rows import rows_of_observations, rows_of_priors
+from masat.online.steps import undetermined
 from masat.online.update import Update
 from masat.optimizers import Result
+from masat.residuals import as_poses
 
 # Measured on seven public graphs (benchmarks/online.py): chi2 is then 1.5e-4 above the optimum of a
 # step in the mean.
 TOLERANCE = 1.5e-4
 
 
-class OnlineMap(Steps):
+class OnlineMap(Reading):
     """A map of which poses and edges become known one after the other.
 
-    A front end adds a pose and its edges, calls `update`, and reads the poses: each step changes
-    only what its edges change, and costs a small fraction of a solve. `graph` returns the map as an
-    immutable `PoseGraph`, and `optimize` takes it to the exact optimum.
+    A front end adds a pose, its edges and what it saw of landmarks, calls `update`, and reads the
+    poses: each step changes only what its measurements change, and costs a small fraction of a
+    solve. `graph` returns the map as an immutable `PoseGraph`, and `optimize` takes it to the exact
+    optimum.
 
-    One node of each connected component is fixed, the one that was added first. Where an edge joins
+    One pose of each connected component is fixed, the one that was added first. Where an edge joins
     two components, the one whose fixed node is older stays where it is. The other is moved as a
     whole to where the edge puts it, and its fixed node is optimized from then on. A new pose is
     such a component: its first edge places it.
 
-    One thread may change the map while any number of others read `poses`, `pose` and `ids`: they
-    get a complete estimate, never a half-made one, and never wait for an update.
+    One thread may change the map while any number of others read `poses`, `pose`, `ids`, `points`,
+    `point` and `point_ids`: they get a complete estimate, never a half-made one, and never wait for
+    an update.
 
     If an update turns poses far, which may have led to a wrong minimum, the whole map is solved on
     another thread, from an initial guess of its own, while it grows on. So it is when many closures
@@ -68,7 +71,8 @@ class OnlineMap(Steps):
     robust : bool
         Whether to judge each loop closure when it arrives: one that contradicts the map, or that is
         as likely false as true, is left out. `closures` and `rejected` tell what was thought of it.
-        Trusted are the edges that are the first of a node, as odometry is.
+        Trusted are the edges that are the first of a node, as odometry is. Priors and
+        observations of landmarks are not judged until all is decided on together.
 
     Raises
     ------
@@ -106,27 +110,6 @@ class OnlineMap(Steps):
         if not 0 <= tolerance < 1:
             raise OptimizationError(f"the tolerance must be in [0, 1), got {tolerance!r}")
         super().__init__(int(dimension), float(tolerance), robust=robust)
-
-    def __len__(self) -> int:
-        return self._core.nodes() - 1
-
-    def __repr__(self) -> str:
-        return f"OnlineMap({self._dimension}D, {len(self)} nodes, {self._core.edges()} edges)"
-
-    @property
-    def dimension(self) -> int:
-        """2 or 3."""
-        return self._dimension
-
-    @property
-    def tolerance(self) -> float:
-        """Fraction of chi2 by which that of the estimate may exceed the optimum."""
-        return self._tolerance
-
-    @property
-    def robust(self) -> bool:
-        """Whether loop closures are judged."""
-        return self._arrivals is not None
 
     def add_pose(self, node: int, guess: ArrayLike | None = None) -> None:
         """Add a pose, which becomes part of the map at the next `update`.
@@ -215,7 +198,7 @@ class OnlineMap(Steps):
         Parameters
         ----------
         priors : Priors
-            On poses that have been added, from `masat.gps` and the like, without sensor offsets.
+            On poses and landmarks that have been added, from `masat.gps` and the like.
 
         Returns
         -------
@@ -225,37 +208,64 @@ class OnlineMap(Steps):
         Raises
         ------
         GraphError
-            If a pose is unknown, if the priors are of another dimension, or if they have sensor
-            offsets. The map is unchanged.
+            If a node is unknown, if the priors are of another dimension, or if one on a landmark
+            measures a rotation. The map is unchanged.
         """
         with self._writing:
-            nodes = checked_priors(self._core, priors, self._dimension)
-            first = self._core.next_edge()
-            self._core.add_priors(nodes, priors.measurements, priors.information)
-            numbers = np.arange(first, self._core.next_edge())
-            self._waiting.withhold(self._core, numbers, nodes, priors)
-            return numbers
+            check_priors(self._core, priors, self._dimension)
+            return self._waiting.add(self._core, rows_of_priors(priors))
 
-    @property
-    def waiting_priors(self) -> Ids:
-        """The numbers of the priors that do not determine yet where their part of the map lies."""
-        return self._waiting.waiting
+    def add_observations(self, seen: Landmarks) -> Ids:
+        """Add landmarks and what poses saw of them, which become part of the map at an `update`.
 
-    @property
-    def rejected_priors(self) -> Ids:
-        """The numbers of the priors that a robust map has left out, ascending."""
-        return np.sort(self._waiting.rejected["number"])
+        The first observation that determines the position of a landmark places it. Of ranges alone
+        or bearings alone, several are needed: they wait until together they determine it. So do
+        observations of a landmark of another part of the map, until they determine how the parts
+        lie to each other to about ten degrees; then the newer part is moved as a whole.
+
+        Parameters
+        ----------
+        seen : Landmarks
+            Observations from poses that have been added, from `masat.landmarks` and
+            `masat.range_bearing`. Positions that it has are where new landmarks begin.
+
+        Returns
+        -------
+        ndarray of int64, (l,)
+            The numbers of the observations, by which `remove_edges` knows them: they are counted
+            with the edges.
+
+        Raises
+        ------
+        GraphError
+            If a pose is unknown, if a landmark has the id of a pose, or if the landmarks are of
+            another dimension. The map is unchanged.
+        """
+        with self._writing:
+            check_observations(self._core, seen, self._dimension)
+            rows = rows_of_observations(seen)
+            new = []
+            for k, node in enumerate(seen.ids.tolist()):
+                if self._core.find(node) >= 0:
+                    continue
+                where = None if seen.positions is None else as_poses(seen.positions[k : k + 1])[0]
+                self._core.add_node(node, where, True)
+                if where is None:
+                    new.append(self._core.find(node))
+            return self._waiting.add(self._core, rows, np.array(new, np.int32))
 
     def remove_edges(self, numbers: int | ArrayLike) -> None:
-        """Remove edges or priors at the next `update`; nodes that lose all their edges remain.
+        """Remove edges, priors or observations at the next `update`; all nodes remain.
 
-        Where a component falls apart, the node of the new part that was added first is fixed at its
-        pose.
+        Where a component falls apart, the pose of the new part that was added first is fixed. So it
+        does where what is left does not determine how its parts lie to each other or in the world:
+        the priors and observations that join them wait then, until others determine it. A landmark
+        that is not determined any more has no position until it is.
 
         Parameters
         ----------
         numbers : int or array_like of int, (k,)
-            Numbers of edges or priors, as `add_edges` and `add_priors` returned them.
+            Numbers as `add_edges`, `add_priors` and `add_observations` returned them.
 
         Raises
         ------
@@ -275,6 +285,7 @@ class OnlineMap(Steps):
                     if not self._core.has_edge(int(number)):
                         raise GraphError(f"the map has no edge {number}, or it is removed already")
                 raise GraphError("an edge is named twice among those to be removed")
+            self._removed.append(wanted[~withheld])
             self._waiting.remove(wanted[withheld])
             if self._arrivals is not None:
                 self._arrivals.remove(wanted)
@@ -313,117 +324,6 @@ class OnlineMap(Steps):
             ):
                 done = done.followed_by(self._end_review() or done)
             return done
-
-    @property
-    def ids(self) -> Ids:
-        """Ids of the poses, (n,), in the order in which they were added."""
-        return self._core.ids()[1:]
-
-    @property
-    def poses(self) -> Floats:
-        """The poses after the last update, (n, 3) or (n, 7), in the order of `ids`; a copy."""
-        return self._core.poses()[1:]
-
-    def pose(self, node: int) -> Floats:
-        """Return one pose after the last update, (3,) or (7,); an unknown id is a GraphError."""
-        pose = self._core.pose(checked_id(node))
-        if pose is None:
-            raise GraphError(f"the map has no node {node}")
-        return pose
-
-    @property
-    def chi2(self) -> float:
-        """Sum over the edges of e' W e at the poses."""
-        with self._writing:
-            return self._core.exact_chi2()
-
-    def covariances(self, ids: ArrayLike | None = None) -> Floats:
-        """Return the marginal covariances of poses, from the factor of the last update.
-
-        Parameters
-        ----------
-        ids : array_like of int, (k,), optional
-            Ids of poses. Default: all, in the order of `ids`.
-
-        Returns
-        -------
-        ndarray, (k, 3, 3) or (k, 6, 6)
-            In order, units and frames those of `masat.covariances`, at the poses at which the edges
-            were linearized, which are near the current ones. Fixed nodes have covariance zero.
-
-        Raises
-        ------
-        GraphError
-            If an id is unknown.
-
-        Notes
-        -----
-        Each pose costs one solve along its path to the root of the factor (Kaess and Dellaert,
-        Robotics and Autonomous Systems 2009), so a few cost little; for all `masat.covariances` of
-        `graph()` is faster.
-        """
-        with self._writing:
-            indices = self._indices(self.ids if ids is None else ids, 1)
-            return self._core.covariances(indices, indices)
-
-    def relative_covariances(self, pairs: ArrayLike) -> Floats:
-        """Return the covariances of poses relative to others, from the factor of the last update.
-
-        They say how likely a loop closure is before it is tried.
-
-        Parameters
-        ----------
-        pairs : array_like of int, (k, 2)
-            Ids (a, b).
-
-        Returns
-        -------
-        ndarray, (k, 3, 3) or (k, 6, 6)
-            Covariance of a^-1 b, as `masat.relative_covariances` returns it.
-
-        Raises
-        ------
-        GraphError
-            If an id is unknown.
-        """
-        with self._writing:
-            a, b = (np.ascontiguousarray(end) for end in self._indices(pairs, 2).T)
-            of_a, of_b, joint = self._core.covariances(
-                np.concatenate([a, b, a]), np.concatenate([a, b, b])
-            ).reshape(3, len(a), lie.DOF[self._dimension], lie.DOF[self._dimension])
-            where = self._core.linearized(np.concatenate([a, b]))
-            return relative_from_blocks(of_a, of_b, joint, where[: len(a)], where[len(a) :])
-
-    @property
-    def closures(self) -> AnyArray:
-        """The loop closures of a robust map: a structured array with a row for each.
-
-        `edge` (its number), `from`, `to`, `kept`, `distance` and `log_ratio` (of the measurement
-        from its prediction, when it was judged last, as in `masat.robust.Decision`), `reason`.
-        """
-        with self._writing:
-            arrivals = Arrivals(self._dimension) if self._arrivals is None else self._arrivals
-            return arrivals.table()
-
-    @property
-    def rejected(self) -> Ids:
-        """The numbers of the loop closures that are not part of the map, ascending."""
-        with self._writing:
-            return np.empty(0, np.int64) if self._arrivals is None else self._arrivals.rejected()
-
-    def graph(self) -> PoseGraph:
-        """Return the map after the last update as an immutable graph with poses.
-
-        Its edges are in the order of their numbers, and its gauge-fixed nodes are those of the map.
-        It has the edges that are believed, and the priors that do not wait.
-
-        Raises
-        ------
-        GraphError
-            If the map has no pose.
-        """
-        with self._writing:
-            return self._graph()
 
     def optimize(self) -> Result:
         """Take the map to the optimum that `masat.optimize` finds from its poses.
@@ -474,27 +374,13 @@ class OnlineMap(Steps):
         """
         dimension, tolerance, contents, closures = read_map(Path(path))
         out = cls(dimension, tolerance=tolerance, robust=closures is not None)
-        out._waiting.restore(contents.pop("waiting"))
+        waiting = contents.pop("waiting")
         try:
             out._core.fill(**contents)
         except _core.UndeterminedError as error:
             raise undetermined(error, "the file cannot be used") from None
+        out._waiting.restore(out._core, waiting)
         if out._arrivals is not None and closures is not None:
             out._arrivals.restore(out._core, contents, closures)
         out._schedule.begin(len(out), out._doubted)
         return out
-
-    def _indices(self, ids: ArrayLike, ndim: int) -> Indices:
-        """Return the indices of ids, of a row or of pairs."""
-        wanted = checks.integers("ids", ids)
-        if ndim == 2 and wanted.size == 0:
-            wanted = wanted.reshape(0, 2)
-        if wanted.ndim != ndim or (ndim == 2 and wanted.shape[1] != 2):
-            raise GraphError(
-                f"{'pairs' if ndim == 2 else 'ids'} must have shape "
-                f"{'(k, 2)' if ndim == 2 else '(k,)'}, got {wanted.shape}"
-            )
-        indices = self._core.find_all(wanted.ravel()).reshape(wanted.shape)
-        for unknown in wanted[indices < 0][:1]:
-            raise GraphError(f"the map has no node {unknown}")
-        return indices

@@ -13,20 +13,14 @@ from masat.assembly import needs_assembly
 from masat.errors import MasatError
 from masat.graph import PoseGraph
 from masat.initializers import guess_of
-from masat.online.files import graph_of, roots_of
+from masat.online.contents import graph_of, poses_of_nodes, roots_of
+from masat.online.sensor_rows import rows_of, with_rows
 from masat.optimality.best import best_minimum
 from masat.optimizers import optimize
 from masat.optimizers.equations import normal_equations
 from masat.robust import decide
 from masat.robust.decision import Decision
 
-# What the contents of a map and `WaitingPriors` call the columns of priors.
-PRIORS = {
-    "prior_numbers": "number",
-    "prior_ids": "id",
-    "prior_measurements": "measurement",
-    "prior_information": "information",
-}
 # A fraction of chi2 by which another map has to be better.
 _LOWER = 1e-3
 
@@ -39,7 +33,7 @@ class Snapshot(NamedTuple):
     graph : PoseGraph
         The map with all edges, also those that are not believed.
     ids : ndarray of int64, (n,)
-        Ids of its nodes, in the order in which they were added.
+        Ids of its poses and landmarks, in the order in which they were added.
     poses : ndarray, (n, 3) or (n, 7)
         Their poses, in the same order.
     trusted : ndarray of bool, (m,), or None
@@ -48,10 +42,10 @@ class Snapshot(NamedTuple):
         Which edges are part of the map.
     numbers : ndarray of int64, (m,)
         The numbers of the edges, ascending.
-    prior_numbers : ndarray of int64, (p,)
-        The numbers of the priors.
-    believed_priors : ndarray of bool, (p,)
-        Which priors are part of the map.
+    rows : structured ndarray, (k,)
+        Priors and observations, in the order of their numbers.
+    believed_rows : ndarray of bool, (k,)
+        Which of these are part of the map.
     """
 
     graph: PoseGraph
@@ -60,8 +54,8 @@ class Snapshot(NamedTuple):
     trusted: Flags | None
     believed: Flags
     numbers: Ids
-    prior_numbers: Ids
-    believed_priors: Flags
+    rows: AnyArray
+    believed_rows: Flags
 
 
 class Found(NamedTuple):
@@ -99,33 +93,36 @@ def snapshot(
     doubtful : ndarray of int64, optional
         The numbers of all edges that are not trusted.
     rejected : structured ndarray, optional
-        Priors that are not part of it, as `WaitingPriors` holds them.
+        Priors and observations that are not part of it, as `Waiting` holds them.
     """
     parts = [contents] if withheld is None else [contents, withheld]
     names = ("edge_numbers", "edges", "measurements", "information")
     every = {name: np.concatenate([part[name] for part in parts]) for name in names}
     order = np.argsort(every["edge_numbers"], kind="stable")
     every = {name: values[order] for name, values in every.items()}
-    numbers, priors = every["edge_numbers"], contents
+    numbers, rows = every["edge_numbers"], rows_of(contents)
     if rejected is not None:
-        priors = with_priors(contents, rejected)
+        rows = np.concatenate([rows, rejected])
+        rows = rows[np.argsort(rows["number"], kind="stable")]
     return Snapshot(
-        graph_of(priors | every),
+        graph_of(with_rows(contents, rows) | every),
         contents["ids"],
         contents["poses"],
         None if doubtful is None else ~np.isin(numbers, doubtful),
         np.isin(numbers, contents["edge_numbers"]),
         numbers,
-        priors["prior_numbers"],
-        np.isin(priors["prior_numbers"], contents["prior_numbers"]),
+        rows,
+        np.isin(rows["number"], contents["sensor_numbers"]),
     )
 
 
-def with_priors(contents: dict[str, Any], rows: AnyArray) -> dict[str, Any]:
-    """Return contents with more priors, which `WaitingPriors` holds as rows."""
-    joined = {name: np.concatenate([contents[name], rows[field]]) for name, field in PRIORS.items()}
-    order = np.argsort(joined["prior_numbers"], kind="stable")
-    return contents | {name: np.ascontiguousarray(values[order]) for name, values in joined.items()}
+def kept_rows(seen: Snapshot, decision: Decision) -> Flags:
+    """Return which priors and observations of a snapshot a decision keeps."""
+    is_prior = seen.rows["is_prior"]
+    kept = np.ones(len(is_prior), np.bool_)
+    if len(decision.measurements):
+        kept[is_prior], kept[~is_prior] = decision.kept_priors, decision.kept_observations
+    return kept
 
 
 def look_again(seen: Snapshot) -> Found:
@@ -137,10 +134,12 @@ def look_again(seen: Snapshot) -> Found:
         decision = decide(graph, seen.trusted, believed=seen.believed, threads=1)
         is_same = bool(
             (decision.kept == seen.believed).all()
-            and (decision.kept_priors == seen.believed_priors).all()
+            and (kept_rows(seen, decision) == seen.believed_rows).all()
         )
         graph = decision.believed(graph)
         found = graph.with_poses(decision.poses)
+        if decision.points is not None:
+            found = found.with_points(decision.points)
         if needs_assembly(found):
             found = optimize(found).graph
         else:
@@ -150,7 +149,8 @@ def look_again(seen: Snapshot) -> Found:
         return Found(None, decision)
     assert found.poses is not None
     roots = roots_of(found, seen.ids)
-    return Found(in_frame(found.poses[found.index(seen.ids)], roots, seen.poses), decision, roots)
+    poses = in_frame(poses_of_nodes(found, seen.ids), roots, seen.poses)
+    return Found(poses, decision, roots)
 
 
 def in_frame(poses: Floats, roots: Indices, before: Floats) -> Floats:

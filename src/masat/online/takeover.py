@@ -9,9 +9,11 @@ import numpy as np
 from masat import _core, lie
 from masat.arrays import Ids
 from masat.online.arrivals import Arrivals
-from masat.online.files import graph_of, roots_of
-from masat.online.review import PRIORS, Found, Snapshot, in_frame, with_priors
-from masat.online.waiting_priors import WaitingPriors
+from masat.online.contents import graph_of, roots_of
+from masat.online.parts import undetermined_rows
+from masat.online.review import Found, Snapshot, in_frame, kept_rows
+from masat.online.sensor_rows import index_of, rows_of, with_rows
+from masat.online.waiting import Waiting
 
 _EDGES = ("edge_numbers", "edges", "measurements", "information")
 
@@ -19,10 +21,10 @@ _EDGES = ("edge_numbers", "edges", "measurements", "information")
 def outcome_of(
     core: _core.OnlineMap,
     arrivals: Arrivals | None,
-    waiting: WaitingPriors,
+    waiting: Waiting,
     seen: Snapshot,
     found: Found,
-) -> tuple[dict[str, Any], Arrivals | None, WaitingPriors]:
+) -> tuple[dict[str, Any], Arrivals | None, Waiting]:
     """Return the contents of a core's map after a review, and what is left out of it then.
 
     Parameters
@@ -31,8 +33,8 @@ def outcome_of(
         The map now.
     arrivals : Arrivals, optional
         Its closures. Those that have arrived since the review began are as they were judged.
-    waiting : WaitingPriors
-        The priors that are not part of it.
+    waiting : Waiting
+        The priors and observations that are not part of it.
     seen, found : Snapshot, Found
         What was reviewed, and what was found.
     """
@@ -54,16 +56,19 @@ def outcome_of(
     edges = {name: np.concatenate([contents[name][stays], new[name]]) for name in _EDGES}
     order = np.argsort(edges["edge_numbers"], kind="stable")
     contents |= {name: np.ascontiguousarray(edges[name][order]) for name in _EDGES}
-    contents = with_priors(contents, waiting.rejected)
-    doubted = seen.prior_numbers[~found.decision.kept_priors]
-    stays = ~np.isin(contents["prior_numbers"], doubted)
-    left_out = np.zeros(int((~stays).sum()), waiting.rows.dtype)
-    left_out["rejected"] = True
-    for name, field in PRIORS.items():
-        left_out[field] = contents[name][~stays]
-        contents[name] = np.ascontiguousarray(contents[name][stays])
-    left_out["node"] = core.find_all(np.array(left_out["id"]))
-    return _with_poses(contents, found), arrivals, waiting.with_rejected(left_out)
+    every = np.concatenate([rows_of(contents), waiting.rejected])
+    doubted = seen.rows["number"][~kept_rows(seen, found.decision)]
+    every["rejected"] = np.isin(every["number"], doubted)
+    waiting = waiting.with_rejected(every[every["rejected"]])
+    contents = with_rows(contents, every[~every["rejected"]])
+    # Without the closures that are left out now, the other measurements may determine less.
+    contents = _with_poses(contents, found)
+    undetermined = undetermined_rows(contents)
+    if undetermined.any():
+        rows = rows_of(contents)
+        waiting = waiting.with_waiting(rows[undetermined])
+        contents = _with_poses(with_rows(contents, rows[~undetermined]), found)
+    return contents, arrivals, waiting
 
 
 def _with_poses(contents: dict[str, Any], found: Found) -> dict[str, Any]:
@@ -76,8 +81,11 @@ def _with_poses(contents: dict[str, Any], found: Found) -> dict[str, Any]:
         # A component may have been moved as a whole since.
         first = in_frame(found.poses, found.roots, old)
         moved[: len(first)] = first
-        added = np.argsort(graph.index(ids))
-        older, newer = np.sort(added[graph.edge_indices], axis=1).T
+        ends = contents["sensor_ends"]
+        joined = np.concatenate(
+            [index_of(graph.edges.ravel(), ids).reshape(-1, 2), ends[ends[:, 0] >= 0]]
+        )
+        older, newer = np.sort(joined, axis=1).T
         for k in range(len(first), len(moved)):
             # Most nodes were added to an older one.
             to = older[newer == k][:1]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from masat import _core
 from masat.arrays import Floats
@@ -29,10 +30,23 @@ _PATIENCE, _STRICTNESS = 3, 10.0
 # Operations of a factorization above which not even these iterations are made: some seconds on one
 # core. On public graphs and simulated worlds the chordal guess itself is good enough for the test.
 _EXPENSIVE = 1e10
+# Operations that a search may take in a graph that cannot be right, and those that all other
+# initial guesses may: about a second on one core. Where a search follows, which takes longer than
+# they do, the guesses may take more.
+_AFFORDABLE, _AFFORDABLE_BEFORE_SEARCH = 5e9, 1.5e11
+# Trials of a search for each edge, iterations of a trial, and operations that take as long as what
+# Python and NumPy do in an iteration.
+_TRIALS_PER_EDGE, _ITERATIONS, _OVERHEAD = 4, 15, 3e5
 # No ambiguous cycles are sought, which takes as long as the chordal certificate, where rotation
 # residuals are below this, in radians, and the graph is either well connected (edges over nodes) or
 # all its edges together turn by less than this standard deviation: a long loop has small residuals.
 _SMALL_ROTATION, _WELL_CONNECTED, _SMALL_DRIFT = 0.1, 1.3, 1.0
+
+
+# Limits of the optimization of another initial guess.
+_START_ITERATIONS, _START_TOLERANCE = 60, 1e-6
+
+Start: TypeAlias = Callable[[PoseGraph], PoseGraph]
 
 
 class Minimum(NamedTuple):
@@ -55,6 +69,7 @@ class Minimum(NamedTuple):
 def best_minimum(
     guess: PoseGraph,
     *,
+    starts: Sequence[Start] = (),
     seed: int = 0,
     progress: Progress | None = None,
     equations: _core.NormalEquations | None = None,
@@ -66,13 +81,19 @@ def best_minimum(
     search ends. If not, `lower_minimum` searches around the doubtful parts. Where the first minimum
     took many iterations, all nodes are lifted, too.
 
+    In 3D the search also takes parts of the minima near other initial guesses, `starts`.
+
     Where chi2 is so large that no local minimum explains it (`outliers.cannot_be_right`), the graph
-    has false edges. There is no search then, and the first minimum may not be quite reached.
+    has false edges, or its information is far too large. There is no search then unless it is
+    cheap; the other initial guesses are tried where that is cheap; and the minimum may not be quite
+    reached.
 
     Parameters
     ----------
     guess : PoseGraph
         A graph with poses.
+    starts : sequence of callable
+        Other initial guesses of a graph, each a function from the graph to the graph with poses.
     seed : int
         Seed of the random noise that is added when a rank is raised.
     progress : Progress, optional
@@ -96,9 +117,15 @@ def best_minimum(
             guess, equations.chi2(_poses(guess)), strictness=_STRICTNESS
         ):
             return _without_search(guess, progress)
-        near, soon = _first_minimum(guess, equations, progress)
-        if not progress.over and cannot_be_right(near.graph, near.chi2):
-            return _without_search(near.graph, progress)
+        is_small = _search_operations(guess) <= _AFFORDABLE
+        near, soon = _first_minimum(guess, equations, progress, stop_if_wrong=not is_small)
+        is_wrong = not progress.over and cannot_be_right(near.graph, near.chi2)
+        minima = [near]
+        if is_wrong:
+            minima = _minima(near, starts, _AFFORDABLE, equations, progress)
+            near = minima[0]
+            if not is_small:
+                return _without_search(near.graph, progress)
         try:
             if not progress.over and _is_plausible(near):
                 return Minimum(near.poses, True)
@@ -110,8 +137,16 @@ def best_minimum(
         for doubt in doubts:
             progress.tell(doubt, near.chi2, warning=True)
         try:
+            if guess.dimension == 3 and not is_wrong:
+                limit = _AFFORDABLE_BEFORE_SEARCH
+                minima = _minima(near, starts, limit, equations, progress)
             found = lower_minimum(
-                near.graph, seed=seed, progress=progress, equations=equations, lift_all=not soon
+                minima[0].graph,
+                seed=seed,
+                progress=progress,
+                equations=equations,
+                lift_all=not soon,
+                others=[minimum.poses for minimum in minima[1:]],
             )
         except KeyboardInterrupt:
             progress.interrupt()
@@ -163,8 +198,50 @@ def _may_be_ambiguous(near: Result) -> bool:
     return len(AmbiguousCycles(near.graph).edges(near.poses)) > 0
 
 
+def _search_operations(graph: PoseGraph) -> float:
+    """Return about how many operations a search takes, those of Python and NumPy included."""
+    trials = _TRIALS_PER_EDGE * len(graph.edges)
+    return trials * _ITERATIONS * (graph.elimination.operations(graph.dof) + _OVERHEAD)
+
+
+def _minima(
+    near: Result,
+    starts: Sequence[Start],
+    limit: float,
+    equations: _core.NormalEquations,
+    progress: Progress,
+) -> list[Result]:
+    """Return a minimum and those near other initial guesses of its graph, the lowest first."""
+    graph, minima = near.graph, [near]
+    each = _START_ITERATIONS * (graph.elimination.operations(graph.dof) + _OVERHEAD)
+    if len(starts) * each > limit:
+        return minima
+    for start in starts:
+        if progress.over:
+            break
+        progress.tell("optimizing another initial guess", near.chi2)
+        try:
+            minima.append(
+                optimize(
+                    start(graph),
+                    max_iterations=_START_ITERATIONS,
+                    relative_tolerance=_START_TOLERANCE,
+                    equations=equations,
+                    progress=progress,
+                )
+            )
+        except (InitializationError, OptimizationError):
+            continue
+        except KeyboardInterrupt:
+            progress.interrupt()
+    return sorted(minima, key=lambda minimum: minimum.chi2)
+
+
 def _first_minimum(
-    guess: PoseGraph, equations: _core.NormalEquations, progress: Progress
+    guess: PoseGraph,
+    equations: _core.NormalEquations,
+    progress: Progress,
+    stop_if_wrong: bool,
 ) -> tuple[Result, bool]:
     """Return the minimum near a guess, and whether few iterations led there."""
     run = partial(
@@ -175,9 +252,11 @@ def _first_minimum(
         progress=progress,
     )
     progress.tell("optimizing the chordal guess")
-    watch = _StopIfWrong(guess, equations.chi2(_poses(guess)))
+    watch = None
+    if stop_if_wrong:
+        watch = _StopIfWrong(guess, equations.chi2(_poses(guess)))
     quick = run("gauss_newton", max_iterations=_FEW_ITERATIONS, report=watch)
-    if quick.converged or progress.over or watch.is_wrong:
+    if quick.converged or progress.over or (watch is not None and watch.is_wrong):
         return quick, True
     return run("dogleg"), False
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from itertools import islice
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from masat.optimality.cycles import (
     shifted,
 )
 from masat.optimality.relaxation import Relaxation, lift
+from masat.optimality.splices import differing_parts, spliced
 from masat.optimality.strings import Strings
 from masat.optimality.subgraphs import (
     Subgraph,
@@ -38,13 +39,16 @@ from masat.progress import Progress
 # chi2 that is lower by this fraction belongs to another minimum; near a minimum it changes by less
 # than the second fraction from one iteration to the next.
 LOWER, NEAR = 1e-7, 1e-8
+# Minima whose chi2 differs by a smaller fraction are taken to be the same.
+_SAME_MINIMUM = 1e-6
 # Edges from a node where the certificate fails, from an edge of an ambiguous cycle, and from the
 # nodes that a shift rotates, within which nodes are lifted.
 _NODE_REACH, _EDGE_REACH, _CYCLE_REACH = 6, 3, 3
 # chi2 above the minimum up to which a trial is optimized further with all nodes free.
 _NEARLY = 5.0
-# A trial ends where this many more steps like the last one would not lower chi2 enough.
-_HOPELESS_STEPS = 40
+# Iterations of a trial after a shift, after a lift, and with all nodes free. A trial ends where the
+# steps that are left, if they were all like the last one, would not lower chi2 enough.
+_SHIFT_ITERATIONS, _LIFT_ITERATIONS, _FREE_ITERATIONS = 30, 50, 50
 # Radians and meters: residuals and coordinates that changed by less are the same as before.
 _SAME_POSE = 0.01
 # A residual that changed by a smaller fraction of itself is the same as before.
@@ -57,6 +61,8 @@ _STRING_REACH, _MAX_FAILURES, _STRING_TOLERANCE = 6, 40, 1e-5
 # Strings after which chi2 that is nearly as low is optimized no further.
 _FIRST = 10
 _MAX_ROUNDS = 20
+# Sets of nodes that have more than this fraction in common are lifted once.
+_SAME_NODES = 0.8
 # Bytes of a factor up to which all nodes are lifted at once: some seconds on one core.
 _MAX_LIFTED_BYTES = 3e8
 # Iterations of Gauss-Newton to the exact minimum, and of the safer and slower dogleg.
@@ -72,6 +78,7 @@ def lower_minimum(
     progress: Progress | None = None,
     equations: _core.NormalEquations | None = None,
     lift_all: bool = False,
+    others: Sequence[Floats] = (),
 ) -> Result:
     """Search for a lower minimum around the parts of the graph where this one is doubtful.
 
@@ -93,6 +100,9 @@ def lower_minimum(
         Those of the graph, to be used again.
     lift_all : bool
         Whether all nodes are lifted even if no ambiguous cycle rotates most of them.
+    others : sequence of ndarray, (n, 3) or (n, 7)
+        Poses at other minima, whose better parts are taken (`splices.py`) before anything is
+        lifted or shifted.
 
     Returns
     -------
@@ -108,8 +118,11 @@ def lower_minimum(
     equations = normal_equations(graph) if equations is None else equations
     search = _Search(graph, seed, progress, equations)
     try:
+        if others:
+            search.combine(others)
         for _ in range(_MAX_ROUNDS):
-            lower = graph.dimension == 3 and search.at_strings()
+            lower = search.at_differences(search.others)
+            lower = lower or (graph.dimension == 3 and search.at_strings())
             lower = lower or search.at_uncertified_nodes() or search.at_cycles()
             if progress.over or not (lower or search.at_all_nodes(lift_all)):
                 break
@@ -138,6 +151,8 @@ class _Search:
         if graph.poses is None:
             raise OptimizationError("the graph has no poses: there is no minimum to begin at")
         self.poses = graph.poses
+        # Poses at other minima, whose parts are tried after each round.
+        self.others: Sequence[Floats] = ()
         self._graph = graph
         self._seed = seed
         self._progress = progress
@@ -147,8 +162,8 @@ class _Search:
         self._unit = min(1.0, first.reduced_chi2 or 1.0)
         self._relaxation = Relaxation(graph)
         self._cycles = AmbiguousCycles(graph)
-        self._strings = Strings(graph)
         self._most_rotate = False
+        self._lifts_in_vain: list[tuple[float, Flags]] = []
         self._refused: dict[tuple[tuple[int, float], ...], Floats] = {}
         self._cycles_left = max(_MIN_CYCLES, _CYCLE_WORK // len(graph.ids))
         gauge = graph.index(graph.gauge)
@@ -157,6 +172,10 @@ class _Search:
         # The only gauge node of a component may move with the rest, and is put back afterwards.
         self._movable = gauge[count[labels[gauge]] == 1]
         self._fixed = gauge[count[labels[gauge]] > 1]
+
+    @cached_property
+    def _strings(self) -> Strings:
+        return Strings(self._graph)
 
     def converge(self) -> Result:
         """Go to the minimum."""
@@ -214,13 +233,25 @@ class _Search:
             own = np.array([cycle.edge for cycle, _ in shifts])
             by = np.array([2 * np.pi * sign * cycle.axis for cycle, sign in shifts])
             trials: list[Trial] = [partial(self._shift, own, by, cut) for cut in cuts]
-            if self._graph.dimension == 3:
+            if self._graph.dimension == 3 and not self._lifted_in_vain(where):
                 trials.append(self._lift)
             if any(self._try(where, trial) for trial in trials):
                 changed |= edges
             else:
                 self._refused[key] = signed
+                if self._lift in trials:
+                    self._lifts_in_vain.append((self.chi2, where))
         return len(changed) > 0
+
+    def _lifted_in_vain(self, nodes: Flags) -> bool:
+        """Whether nearly the same nodes were lifted at the same minimum, and chi2 did not fall."""
+        for chi2, lifted in self._lifts_in_vain:
+            both = np.count_nonzero(nodes & lifted)
+            if self.chi2 >= chi2 * (1 - LOWER) and both > _SAME_NODES * np.count_nonzero(
+                nodes | lifted
+            ):
+                return True
+        return False
 
     def at_strings(self) -> bool:
         """Shift strings of edges; return whether that lowered chi2."""
@@ -250,6 +281,40 @@ class _Search:
                 break
         return self.chi2 < first * (1 - LOWER)
 
+    def combine(self, others: Sequence[Floats]) -> None:
+        """Take the better parts of this minimum and others.
+
+        Each minimum in turn takes the parts of all others that lower its chi2, and then the lowest
+        those of what the others have become. That all end at the same minimum does not show
+        that none is lower.
+        """
+        minima = [self.poses, *others]
+        ends = [(self.chi2, self.poses)]
+        try:
+            for poses in minima:
+                self.poses = poses
+                self.converge()
+                self.at_differences([other for other in minima if other is not poses])
+                self.converge()
+                ends.append((self.chi2, self.poses))
+        finally:
+            ends.sort(key=lambda end: end[0])
+            self.chi2, self.poses = ends[0]
+        self.others = [
+            poses
+            for (lower, _), (chi2, poses) in pairwise(ends)
+            if chi2 > lower * (1 + _SAME_MINIMUM)
+        ]
+
+    def at_differences(self, others: Sequence[Floats]) -> bool:
+        """Take the parts of other minima that lower chi2; return whether there are any."""
+        first = self.chi2
+        for other in others:
+            self._progress.tell("taking the better parts of two minima", self.chi2)
+            for part in differing_parts(self._graph, self.poses, other):
+                self._try(part, partial(self._splice, other))
+        return self.chi2 < first * (1 - LOWER)
+
     def at_all_nodes(self, always: bool) -> bool:
         """Lift all nodes where that may help and memory allows it; return whether it lowered chi2.
 
@@ -273,13 +338,29 @@ class _Search:
 
     def _lift(self, part: Subgraph) -> Result:
         initial = part.graph.with_poses(lift(part.graph, seed=self._seed))
+        low_enough = part.graph.chi2 + _NEARLY * self._unit
         # Rounded poses lie between minima: one method may end in a lower one than the other.
         return min(
             (
-                optimize(initial, method, relative_tolerance=NEAR, max_iterations=50)
+                optimize(
+                    initial,
+                    method,
+                    relative_tolerance=NEAR,
+                    max_iterations=_LIFT_ITERATIONS,
+                    report=_StopIfHopeless(low_enough, _LIFT_ITERATIONS),
+                )
                 for method in ("dogleg", "levenberg_marquardt")
             ),
             key=lambda result: result.chi2,
+        )
+
+    def _splice(self, other: Floats, part: Subgraph) -> Result:
+        return optimize(
+            part.graph.with_poses(spliced(part, other)),
+            "dogleg",
+            relative_tolerance=NEAR,
+            max_iterations=_SHIFT_ITERATIONS,
+            report=_StopIfHopeless(part.graph.chi2 + _NEARLY * self._unit, _SHIFT_ITERATIONS),
         )
 
     def _shift(
@@ -298,9 +379,9 @@ class _Search:
         return optimize(
             graph.with_poses(solve_translations(loose, turned)),
             "dogleg",
-            max_iterations=30,
+            max_iterations=_SHIFT_ITERATIONS,
             absolute_tolerance=nearly / 500,
-            report=_StopIfHopeless(graph.chi2 + nearly),
+            report=_StopIfHopeless(graph.chi2 + nearly, _SHIFT_ITERATIONS),
         )
 
     def _try(self, nodes: Flags, trial: Trial, nearly: float = _NEARLY) -> bool:
@@ -328,7 +409,7 @@ class _Search:
         lower = self.chi2 * (1 - LOWER)
         if lower <= chi2 < self.chi2 + nearly * self._unit:
             # Nearly as low: with all nodes free it may become lower.
-            free = self._minimum(poses, _StopIfHopeless(lower, chi2))
+            free = self._minimum(poses, _StopIfHopeless(lower, _FREE_ITERATIONS, chi2))
             poses, chi2 = free.poses, free.chi2
         if chi2 < lower:
             self.poses, self.chi2 = poses, chi2
@@ -352,7 +433,7 @@ class _Search:
             self._graph.with_poses(poses),
             "dogleg",
             relative_tolerance=tolerance,
-            max_iterations=50,
+            max_iterations=_FREE_ITERATIONS,
             report=report,
             equations=self._equations,
             progress=self._progress,
@@ -360,18 +441,20 @@ class _Search:
 
 
 class _StopIfHopeless:
-    """Stops an optimizer where many more steps like the last would not bring chi2 low enough.
+    """Stops an optimizer where the steps that are left would not bring chi2 low enough.
 
     A step may gain less than it could while the region of trust adapts: half of what was expected
     before the step counts in its place.
     """
 
-    def __init__(self, low_enough: float, chi2: float = np.inf) -> None:
-        self._low_enough, self._last, self._expected = low_enough, chi2, 0.0
+    def __init__(self, low_enough: float, iterations: int, chi2: float = np.inf) -> None:
+        self._low_enough, self._left, self._last = low_enough, iterations, chi2
+        self._expected = 0.0
 
     def __call__(self, step: Iteration) -> bool:
         """Return whether to stop after an iteration."""
         missing = step.chi2 - self._low_enough
         gained, self._last = self._last - step.chi2, step.chi2
         self._expected = max(min(gained, missing), self._expected / 2)
-        return missing > _HOPELESS_STEPS * self._expected
+        self._left -= 1
+        return missing > self._left * self._expected

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -14,6 +15,7 @@ from masat.optimizers.termination import (
     Report,
     StopReason,
     Termination,
+    largest,
     length,
 )
 
@@ -35,7 +37,7 @@ def dogleg(
     radius = np.inf
     for _ in range(termination.max_iterations):
         rhs = equations.rhs()
-        if termination.flat(rhs):
+        if termination.flat(partial(largest, rhs)):
             return Outcome(poses, chi2, StopReason.GRADIENT)
         failed = equations.factorize(np.zeros_like(rhs))
         if failed >= 0:

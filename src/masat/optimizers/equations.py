@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from masat import _core
-from masat.arrays import Floats
+from masat.arrays import Floats, Indices
 from masat.errors import OptimizationError
 from masat.graph import PoseGraph
 
@@ -116,17 +116,24 @@ class BestSoFar:
 
 
 def rounding_level(graph: PoseGraph) -> float:
+    """Return the chi2 that the rounding of coordinates alone makes."""
+    if graph.poses is None:
+        return 0.0
+    return rounding_of(graph.poses, graph.edge_indices, graph.information)
+
+
+def rounding_of(poses: Floats, edges: Indices, information: Floats) -> float:
     """Return the chi2 that the rounding of coordinates alone makes.
 
     The coordinates of an edge are known to half a unit in the last place of the largest one of its
     two nodes; an angle to that of 1.
     """
-    if graph.poses is None or len(graph.edges) == 0:
+    if len(edges) == 0:
         return 0.0
-    d = graph.dimension
-    largest = np.maximum(np.abs(graph.poses[:, :d]).max(axis=1), 1.0)
-    reach = largest[graph.edge_indices].max(axis=1)
-    diagonal = np.einsum("kii->ki", graph.information)
+    d = 2 if poses.shape[1] == 3 else 3
+    largest = np.maximum(np.abs(poses[:, :d]).max(axis=1), 1.0)
+    reach = largest[edges].max(axis=1)
+    diagonal = np.einsum("kii->ki", information)
     moved = np.square(reach) @ diagonal[:, :d].sum(axis=1)
     return float(_EPSILON**2 * (moved + diagonal[:, d:].sum()))
 

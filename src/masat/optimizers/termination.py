@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -96,9 +96,12 @@ class Termination:
         """Return the same with another limit of the iterations."""
         return replace(self, max_iterations=max(limit, 0))
 
-    def flat(self, rhs: Floats) -> bool:
-        """Tell whether the gradient of chi2, -2 rhs, is below the tolerance (maximum norm)."""
-        return self.gradient > 0 and 2 * float(np.abs(rhs).max()) <= self.gradient
+    def flat(self, steepest: Callable[[], float]) -> bool:
+        """Tell whether the gradient of chi2, -2 rhs, is below the tolerance (maximum norm).
+
+        `steepest` returns the largest absolute value of rhs.
+        """
+        return self.gradient > 0 and 2 * steepest() <= self.gradient
 
 
 def blur(chi2: float, rounding: float) -> float:
@@ -111,12 +114,20 @@ def blur(chi2: float, rounding: float) -> float:
 
 
 class Outcome(NamedTuple):
-    """What an optimizer returns: the poses of the lowest chi2, and why it stopped."""
+    """What an optimizer returns: the poses of the lowest chi2, and why it stopped.
 
-    poses: Floats
+    The poses are an array unless the equations keep them elsewhere.
+    """
+
+    poses: Any
     chi2: float
     reason: StopReason
     singular_node: int | None = None
+
+
+def largest(rhs: Floats) -> float:
+    """Return the largest absolute value."""
+    return float(np.abs(rhs).max())
 
 
 def length(step: Floats) -> float:

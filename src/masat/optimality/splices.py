@@ -1,0 +1,75 @@
+"""Parts in which two minima differ, so that the better part of each can be taken."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from masat import _core, lie
+from masat.arrays import Flags, Floats
+from masat.graph import PoseGraph
+from masat.optimality.subgraphs import Subgraph, connected_parts, neighborhood
+
+# Radians by which the rotation residual of an edge differs between minima that have decided
+# differently there. The lower, the larger are the parts: the first leave most neighbors apart, the
+# last take together what belongs together.
+_DIFFERENT = (0.6, 0.3, 0.15)
+# Edges from such an edge within which nodes are free while the other minimum's part is tried.
+_REACH = 2
+
+
+def differing_parts(graph: PoseGraph, poses: Floats, other: Floats) -> Iterator[Flags]:
+    """Yield sets of nodes, (n,) each, in which two minima of a graph differ, the large ones last.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        The graph.
+    poses, other : ndarray, (n, 3) or (n, 7)
+        The minima.
+    """
+    i, j = graph.edge_indices.T
+    steps = lie.local(lie.between(poses[i], poses[j]), lie.between(other[i], other[j]))
+    apart = np.sqrt(np.square(steps[:, graph.dimension :]).sum(axis=1))
+    if graph.dimension == 3:
+        apart = 2 * np.arcsin(np.minimum(apart, 1.0))
+    seen: set[bytes] = set()
+    for limit in _DIFFERENT:
+        nodes = np.zeros(len(poses), np.bool_)
+        nodes[graph.edge_indices[apart > limit]] = True
+        for part in connected_parts(graph, neighborhood(graph, nodes, _REACH)):
+            key = np.packbits(part).tobytes()
+            if key not in seen:
+                seen.add(key)
+                yield part
+
+
+def spliced(part: Subgraph, other: Floats) -> Floats:
+    """Return the poses of a part with those of another minimum inside.
+
+    The other minimum is moved as a whole so that it fits the fixed nodes around the part.
+
+    Parameters
+    ----------
+    part : Subgraph
+        The part, at the poses of one minimum.
+    other : ndarray, (n, 3) or (n, 7)
+        The other minimum's poses of all nodes of the whole graph.
+    """
+    graph, inside = part
+    assert graph.poses is not None
+    theirs = other[graph.ids]
+    out = graph.poses.copy()
+    border = np.flatnonzero(~inside)
+    if len(border) == 0:
+        out[inside] = theirs[inside]
+        return out
+    d = 2 if out.shape[1] == 3 else 3
+    # The rotation nearest to those that fit one node each, and the mean position.
+    moves = lie.to_matrices(lie.compose(out[border], lie.inverse(theirs[border])))
+    turn = _core.nearest_rotations(np.ascontiguousarray(moves[:, :d, :d].mean(axis=0)[None]))
+    moved = lie.compose(turn, theirs)
+    moved[:, :d] += (out[border, :d] - moved[border, :d]).mean(axis=0)
+    out[inside] = moved[inside]
+    return out

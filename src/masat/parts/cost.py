@@ -1,0 +1,77 @@
+"""What a factorization by parts costs, from the index alone."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from masat.parts.index import Index
+
+
+class Cost(NamedTuple):
+    """What one iteration costs on a number of workers.
+
+    Attributes
+    ----------
+    workers : int
+        Number of workers.
+    operations : float
+        Floating-point operations of a factorization, all workers together.
+    critical : float
+        Operations that the last worker to finish has done or waited for, one core a worker.
+    memory : int
+        Bytes of the systems of the worker that holds the most.
+    sent : int
+        Bytes of the contribution blocks that go from one worker to another.
+    """
+
+    workers: int
+    operations: float
+    critical: float
+    memory: int
+    sent: int
+
+    @property
+    def speedup(self) -> float:
+        """How many times faster than one worker, without the time of messages."""
+        return self.operations / self.critical if self.critical else 1.0
+
+
+def homes(index: Index, workers: int) -> list[int]:
+    """Return the worker of each piece: neighboring parts together, a separator with a child."""
+    found: list[int] = []
+    for k, entry in enumerate(index.pieces):
+        of_part = k * workers // index.parts
+        found.append(of_part if k < index.parts else found[entry.children[0]])
+    return found
+
+
+def cost(index: Index, workers: int) -> Cost:
+    """Return what an iteration costs on a number of workers.
+
+    Each worker takes its pieces in the order of the index, as soon as those below are done.
+    """
+    home = homes(index, workers)
+    memory, free = [0] * workers, [0.0] * workers
+    done: list[float] = []
+    sent = 0
+    for k, entry in enumerate(index.pieces):
+        begin = max([free[home[k]], *(done[c] for c in entry.children)])
+        done.append(begin + entry.operations)
+        free[home[k]] = done[k]
+        memory[home[k]] += entry.memory
+        if entry.parent >= 0:
+            # Blocks of children stay until their parent has taken them in.
+            memory[home[entry.parent]] += entry.message
+            if home[entry.parent] != home[k]:
+                sent += entry.message
+    operations = sum(entry.operations for entry in index.pieces)
+    return Cost(workers, operations, max(done, default=0.0), max(memory), sent)
+
+
+def table(index: Index) -> list[Cost]:
+    """Return the costs on one worker, on two, on four, and so on up to one for each part."""
+    counts, workers = [], 1
+    while workers < index.parts:
+        counts.append(workers)
+        workers *= 2
+    return [cost(index, count) for count in [*counts, index.parts]]

@@ -1,0 +1,209 @@
+"""The linear system of a piece: set up, eliminated up to its boundary, solved from there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from masat import _core, lie
+from masat.arrays import Floats, Indices
+from masat.optimizers.damped import LINEAR, damping_scale
+from masat.optimizers.termination import largest
+from masat.parts.pieces import Piece
+
+
+class Linearization(NamedTuple):
+    """What the other pieces have to know of the system of a piece.
+
+    Attributes
+    ----------
+    chi2 : float
+        That of its edges.
+    scale, steepest : float
+        Largest entry of the diagonal by which steps are damped, and of the gradient's negative
+        half, over the nodes that no other piece adds to; 0 in a separator.
+    diagonal, rhs : ndarray
+        What its edges add to the diagonal of H and to the gradient's negative half of the nodes
+        in `Piece.separators`.
+    """
+
+    chi2: float
+    scale: float
+    steepest: float
+    diagonal: Floats
+    rhs: Floats
+
+
+class Message(NamedTuple):
+    """What an elimination leaves at the boundary.
+
+    Attributes
+    ----------
+    block : ndarray
+        The Schur complement, lower triangle, packed column by column.
+    rhs : ndarray
+        The reduced right-hand side.
+    failed : int or None
+        The id of a node at which the matrix is not positive definite; then nothing else is known.
+    """
+
+    block: Floats
+    rhs: Floats
+    failed: int | None = None
+
+
+class Solution(NamedTuple):
+    """The step of a piece.
+
+    Attributes
+    ----------
+    step : ndarray
+        At its own nodes and at its boundary.
+    squared : float
+        The squared length at its own nodes.
+    predicted : float
+        What its edges and its damping add to the fall of chi2 that is predicted.
+    """
+
+    step: Floats
+    squared: float
+    predicted: float
+
+
+class PieceSystem:
+    """The normal equations of a piece.
+
+    The nodes are its own, its boundary, one for the contribution block of each child, and the
+    fixed ones.
+
+    Parameters
+    ----------
+    piece : Piece
+        The piece.
+    """
+
+    def __init__(self, piece: Piece) -> None:
+        self.piece = piece
+        self._dof = lie.DOF[piece.dimension]
+        self._free = piece.own + piece.boundary
+        self._nodes = len(piece.ids) + piece.children
+        self._step_size = self._free * self._dof
+
+    @cached_property
+    def topology(self) -> _core.Topology:
+        """The adjacency by the edges."""
+        return _core.Topology(self._nodes, self._edges)
+
+    @cached_property
+    def elimination(self) -> _core.Elimination:
+        """How the own nodes are eliminated, around the blocks of the children."""
+        piece = self.piece
+        elements = self._free + np.arange(piece.children, dtype=np.int32)
+        joined = np.repeat(elements, np.diff(piece.child_start))
+        edges = np.concatenate([self._edges, np.stack([joined, piece.child_nodes], 1)])
+        fixed = np.zeros(self._nodes, np.bool_)
+        fixed[self._free + piece.children :] = True
+        boundary = np.arange(piece.own, self._free, dtype=np.int32)
+        order = np.concatenate([elements, piece.order, boundary])
+        topology = _core.Topology(self._nodes, np.ascontiguousarray(edges))
+        return _core.Elimination(topology, fixed, order, piece.boundary, piece.children)
+
+    def chi2(self, poses: Floats) -> float:
+        """Return the chi2 of the edges, at poses of the own nodes and of the boundary."""
+        return self._equations.chi2(self._all(poses))
+
+    def linearize(self, poses: Floats) -> Linearization:
+        """Set the system at poses of the own nodes and of the boundary."""
+        piece, d = self.piece, self.piece.dimension
+        chi2 = self._equations.linearize(self._all(poses))
+        diagonal = self._equations.diagonal()[: self._step_size]
+        rhs = self._equations.rhs()[: self._step_size]
+        if piece.children:
+            return Linearization(chi2, 0.0, 0.0, diagonal, rhs)
+        end = piece.own * self._dof
+        scale = diagonal[:end].reshape(-1, self._dof).max(axis=0, initial=0.0)
+        scale[:d] *= LINEAR
+        steepest = largest(rhs[:end]) if end else 0.0
+        return Linearization(chi2, float(scale.max()), steepest, diagonal[end:], rhs[end:])
+
+    def eliminate(
+        self,
+        damping: float,
+        floor: float,
+        diagonal: Floats | None,
+        messages: Sequence[Message],
+    ) -> Message:
+        """Eliminate the own nodes from the linearized system.
+
+        Parameters
+        ----------
+        damping : float
+            Factor of the diagonal that is added.
+        floor : float
+            Smallest entry of that diagonal.
+        diagonal : ndarray, optional
+            The diagonal of H at the own nodes. Default: that of the edges of the piece alone.
+        messages : sequence of Message
+            Those of the children.
+        """
+        piece, end = self.piece, self.piece.own * self._dof
+        for message in messages:
+            if message.failed is not None:
+                return message
+        rhs = self._equations.rhs()
+        for k, message in enumerate(messages):
+            rhs.reshape(-1, self._dof)[piece.child(k)] += message.rhs.reshape(-1, self._dof)
+        self._damping = np.zeros_like(rhs)
+        if damping > 0 and end > 0:
+            if diagonal is None:
+                diagonal = self._equations.diagonal()[:end]
+            self._damping[:end] = damping * damping_scale(diagonal, piece.dimension, floor)
+        blocks = [(piece.child(k), message.block) for k, message in enumerate(messages)]
+        failed = self._equations.factorize(self._damping, blocks)
+        if failed >= 0:
+            nothing = np.empty(0)
+            return Message(nothing, nothing, int(piece.ids[failed]))
+        self._reduced = self._equations.reduce(rhs)
+        at_boundary = self._reduced[end : self._step_size]
+        return Message(self._equations.contribution(), at_boundary.copy())
+
+    def substitute(self, above: Floats | None) -> Solution:
+        """Return the step after an elimination.
+
+        Parameters
+        ----------
+        above : ndarray, optional
+            The step of the parent; None without one.
+        """
+        piece, end = self.piece, self.piece.own * self._dof
+        x = self._reduced
+        if above is not None:
+            x = x.copy()
+            values = above.reshape(-1, self._dof)[piece.in_parent]
+            x[end : self._step_size] = values.ravel()
+        step = self._equations.substitute(x)[: self._step_size]
+        own = step[:end]
+        gradient = float((step * self._equations.rhs()[: self._step_size]).sum())
+        damped = float((self._damping[:end] * np.square(own)).sum())
+        return Solution(step, float(np.square(own).sum()), gradient + damped)
+
+    @cached_property
+    def _edges(self) -> Indices:
+        fixed = self.piece.edges >= self._free
+        edges: Indices = np.where(fixed, self.piece.edges + self.piece.children, self.piece.edges)
+        return np.ascontiguousarray(edges.astype(np.int32))
+
+    @cached_property
+    def _equations(self) -> _core.NormalEquations:
+        piece = self.piece
+        return _core.NormalEquations(
+            self.topology, self.elimination, piece.measurements, piece.information
+        )
+
+    def _all(self, poses: Floats) -> Floats:
+        """Return poses of all nodes; those that stand for blocks of children have no edges."""
+        unused = np.tile(lie.identity(self.piece.dimension), (self.piece.children, 1))
+        return np.concatenate([poses, unused, self.piece.fixed_poses])

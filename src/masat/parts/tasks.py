@@ -1,0 +1,170 @@
+"""What workers compute: functions of the file of a piece, of files of poses, and of messages.
+
+A worker keeps the systems of its pieces at hand, since most tasks need what the task before has
+computed. That is only a shortcut: a system that is not there, or is set up for something else, is
+computed again from the same files and messages, to the same bits.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from masat import lie
+from masat.arrays import Floats
+from masat.optimizers.equations import rounding_of
+from masat.parts.checkpoints import read_poses, write_poses
+from masat.parts.elimination import Linearization, Message, PieceSystem, Solution
+from masat.parts.pieces import read_piece
+
+# A system that is set up again on another worker takes as long as its bytes on the network, and
+# memory twice. Dask is to move a task only if there is much to gain.
+_RELUCTANCE = 10
+
+
+class PieceFile(NamedTuple):
+    """Where the file of a piece is, what it must hold, and what its system takes.
+
+    `memory` are the bytes of the system, `limit` those of all systems that a process may keep.
+    """
+
+    folder: str
+    name: str
+    graph_hash: str
+    file_hash: str
+    memory: int
+    limit: int
+
+    def __sizeof__(self) -> int:
+        # By this Dask estimates what it costs to move a task away from the system that it needs.
+        return _RELUCTANCE * self.memory
+
+
+class Elimination(NamedTuple):
+    """What an elimination depends on, besides the file of the piece and the poses.
+
+    `diagonal` is that of H at the own nodes of a separator, None in a part.
+    """
+
+    poses: str
+    damping: float
+    floor: float
+    diagonal: Floats | None
+
+
+class _Workspace:
+    """A system in memory, and what it is set up for."""
+
+    def __init__(self, file: PieceFile) -> None:
+        self.lock = threading.RLock()
+        self.file = file
+        path = Path(file.folder) / file.name
+        self.system = PieceSystem(read_piece(path, file.graph_hash, file.file_hash))
+        self.linearization: Linearization | None = None
+        self.at = ""
+        self.message: Message | None = None
+        self.eliminated: tuple[str, float, float] | None = None
+
+    def linearize(self, poses: str) -> Linearization:
+        if self.linearization is None or self.at != poses:
+            at = read_poses(self.file.folder, poses, self.file.name, self.system.piece)
+            self.linearization, self.at = self.system.linearize(at), poses
+        return self.linearization
+
+    def eliminate(self, task: Elimination, messages: Sequence[Message]) -> Message:
+        wanted = task.poses, task.damping, task.floor
+        if self.message is None or self.eliminated != wanted:
+            self.eliminated = None
+            self.linearize(task.poses)
+            self.message = self.system.eliminate(task.damping, task.floor, task.diagonal, messages)
+            self.eliminated = wanted
+        return self.message
+
+
+class _Workspaces:
+    """The systems of a process, the one used last at the end."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._held: OrderedDict[tuple[str, str, str], _Workspace] = OrderedDict()
+
+    def of(self, file: PieceFile) -> _Workspace:
+        key = file.folder, file.name, file.file_hash
+        with self._lock:
+            found = self._held.get(key)
+            if found is not None:
+                self._held.move_to_end(key)
+                return found
+            # The one that is asked for is held in any case.
+            while self._held and self._memory() + file.memory > file.limit:
+                self._held.popitem(last=False)
+        made = _Workspace(file)
+        with self._lock:
+            return self._held.setdefault(key, made)
+
+    def _memory(self) -> int:
+        return sum(one.file.memory for one in self._held.values())
+
+
+_WORKSPACES = _Workspaces()
+
+
+def hold(file: PieceFile) -> PieceFile:
+    """Set up the system of a piece, and return what other tasks find it by."""
+    _WORKSPACES.of(file)
+    return file
+
+
+def linearize(file: PieceFile, poses: str, after: object = None) -> Linearization:
+    """Return what the other pieces have to know of a piece at some poses.
+
+    `after` is the task that writes the poses.
+    """
+    workspace = _WORKSPACES.of(file)
+    with workspace.lock:
+        return workspace.linearize(poses)
+
+
+def eliminate(file: PieceFile, task: Elimination, messages: Sequence[Message]) -> Message:
+    """Eliminate the nodes of a piece; `messages` are those of its children."""
+    workspace = _WORKSPACES.of(file)
+    with workspace.lock:
+        return workspace.eliminate(task, messages)
+
+
+def substitute(
+    file: PieceFile,
+    task: Elimination,
+    messages: Sequence[Message],
+    above: Solution | None,
+    target: str,
+) -> Solution:
+    """Solve for the step of a piece, and write the poses after it as those of the name `target`.
+
+    The step is returned only if pieces below need it.
+    """
+    workspace = _WORKSPACES.of(file)
+    with workspace.lock:
+        workspace.eliminate(task, messages)
+        system = workspace.system
+        solution = system.substitute(None if above is None else above.step)
+        poses = read_poses(file.folder, task.poses, file.name, system.piece)
+        moved = lie.retract(poses, solution.step.reshape(len(poses), -1)) if len(poses) else poses
+        write_poses(file.folder, target, file.name, moved)
+        if system.piece.children == 0:
+            return solution._replace(step=np.empty(0))
+        return solution
+
+
+def rounding(file: PieceFile, poses: str) -> float:
+    """Return the chi2 that the rounding of coordinates alone makes in the edges of a piece."""
+    workspace = _WORKSPACES.of(file)
+    with workspace.lock:
+        piece = workspace.system.piece
+        at = read_poses(file.folder, poses, file.name, piece)
+        return rounding_of(np.concatenate([at, piece.fixed_poses]), piece.edges, piece.information)

@@ -1,0 +1,224 @@
+import os
+
+import numpy as np
+import pytest
+from random_graphs import random_graph
+
+import masat
+from masat import PartitionError, PoseGraph, lie
+from masat.optimizers.damped import LocalSystem
+from masat.optimizers.equations import normal_equations
+from masat.parts import tasks
+from masat.parts.engines import InTurn
+from masat.parts.pieces import read_separators
+from masat.parts.system import PartSystem
+from masat.worlds import city, manhattan, perturb, sphere
+
+CITY = masat.initialize(perturb(city(1000), (0.05, 0.05, 0.02)), "masat")
+SPHERE = masat.initialize(perturb(sphere(400), (0.05, 0.02)), "masat")
+GRAPHS = {"city": CITY, "sphere": SPHERE}
+
+
+def system_of(folder):
+    made = masat.Partition(folder)
+    separators = [read_separators(folder / e.file, made.index.graph) for e in made.index.pieces]
+    return PartSystem(made.index, InTurn(folder, made.index), separators)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.5])
+@pytest.mark.parametrize("name", GRAPHS)
+def test_a_damped_step_is_that_of_the_whole_system(tmp_path, name, damping):
+    graph = GRAPHS[name]
+    masat.partition(graph, tmp_path, 4)
+    system = system_of(tmp_path)
+    local = LocalSystem(normal_equations(graph), graph.poses)
+    chi2 = local.linearize(graph.poses)
+    assert system.linearize("given") == pytest.approx(chi2, rel=1e-13)
+    assert system.steepest() == pytest.approx(local.steepest(), rel=1e-10)
+    step, expected = system.damped_step(damping), local.damped_step(damping)
+    assert step.length() == pytest.approx(expected.length(), rel=1e-9)
+    assert step.predicted() == pytest.approx(expected.predicted(), rel=1e-9)
+    moved = local.retract(graph.poses, expected.step)
+    assert system.chi2(system.retract("given", step.step)) == pytest.approx(
+        local.chi2(moved), rel=1e-9
+    )
+
+
+@pytest.mark.parametrize("parts", [1, 2, 5, 8])
+@pytest.mark.parametrize("optimizer", ["gn", "lm"])
+@pytest.mark.parametrize("name", GRAPHS)
+def test_a_solve_in_parts_is_that_of_one_process(tmp_path, name, optimizer, parts):
+    graph = GRAPHS[name]
+    made = masat.partition(graph, tmp_path / "parts", parts)
+    found, best = made.solve(optimizer), masat.optimize(graph, optimizer)
+    assert found.converged
+    assert found.reason == best.reason
+    assert found.iterations == best.iterations
+    assert found.initial_chi2 == pytest.approx(best.initial_chi2, rel=1e-12)
+    assert found.chi2 == pytest.approx(best.chi2, rel=1e-9)
+    ids, poses = made.poses()
+    assert np.array_equal(ids, graph.ids)
+    assert np.abs(lie.local(best.poses, poses)).max() < 1e-8
+    whole = made.graph()
+    assert np.array_equal(whole.edges, graph.edges)
+    assert np.array_equal(whole.measurements, graph.measurements)
+    assert whole.chi2 == pytest.approx(found.chi2, rel=1e-12)
+
+
+def test_steps_that_make_chi2_worse_are_damped_as_in_one_process(tmp_path):
+    graph = masat.initialize(perturb(manhattan(400, 700, extent=12), (0.2, 0.2, 0.2)), "odometry")
+    found = masat.partition(graph, tmp_path / "parts", 4).solve("lm")
+    best = masat.optimize(graph, "lm")
+    assert any(one.damping > 1e-6 for one in best.history)
+    assert [one.damping for one in found.history] == pytest.approx(
+        [one.damping for one in best.history], rel=1e-3
+    )
+    assert found.chi2 == pytest.approx(best.chi2, rel=1e-9)
+
+
+def test_parts_may_be_given(tmp_path):
+    labels = CITY.ids * 6 // len(CITY)
+    made = masat.partition(CITY, tmp_path / "parts", labels=labels)
+    assert made.index.parts == 6
+    assert made.solve("gn").chi2 == pytest.approx(masat.optimize(CITY, "gn").chi2, rel=1e-9)
+
+
+def test_components_and_fixed_nodes_are_parted_too(tmp_path):
+    a, b = random_graph(2, 40, 30, 1, noise=0.02), random_graph(2, 30, 20, 2, noise=0.02)
+    graph = PoseGraph.from_arrays(
+        np.concatenate([a.edges, b.edges + 100]),
+        np.concatenate([a.measurements, b.measurements]),
+        np.concatenate([a.information, b.information]),
+        ids=np.concatenate([a.ids, b.ids + 100, [500]]),
+        poses=np.concatenate([a.poses, b.poses, [[7.0, 8, 1]]]),
+        fixed=[3, 17, 110],
+    )
+    for labels in (graph.ids // 100, graph.ids % 4):
+        made = masat.partition(graph, tmp_path / str(labels[3]), labels=labels)
+        found, best = made.solve("lm"), masat.optimize(graph, "lm")
+        assert found.chi2 == pytest.approx(best.chi2, rel=1e-9)
+        ids, poses = made.poses()
+        assert np.array_equal(ids, graph.ids[:-1])
+        np.testing.assert_allclose(poses, best.poses[:-1], atol=1e-7)
+
+
+@pytest.mark.parametrize("init", ["masat", "spanning_tree"])
+@pytest.mark.parametrize("name", GRAPHS)
+def test_a_guess_goes_from_part_to_part(tmp_path, name, init):
+    # Exact measurements: every path from the root leads to the same pose.
+    exact = {"city": city(1000), "sphere": sphere(400)}[name]
+    bare = PoseGraph.from_arrays(exact.edges, exact.measurements, exact.information)
+    made = masat.partition(bare, tmp_path / "parts", 5)
+    found = made.solve(init=init)
+    assert found.init == init
+    assert found.initial_chi2 < 1e-12
+    np.testing.assert_allclose(
+        lie.local(masat.initialize(bare, "masat").poses, made.poses()[1]), 0, atol=1e-9
+    )
+
+
+def test_a_solve_from_a_guess_by_parts_finds_the_minimum(tmp_path):
+    bare = PoseGraph.from_arrays(CITY.edges, CITY.measurements, CITY.information)
+    found = masat.partition(bare, tmp_path / "parts", 4).solve()
+    assert found.init == "masat"
+    assert found.chi2 == pytest.approx(masat.optimize(CITY).chi2, rel=1e-9)
+
+
+def test_little_memory_takes_time_and_nothing_else(tmp_path, monkeypatch):
+    reads = []
+    read = tasks.read_piece
+    monkeypatch.setattr(tasks, "read_piece", lambda path, *a: reads.append(path) or read(path, *a))
+    found = []
+    for memory in (0, 10**9):
+        made = masat.partition(CITY, tmp_path / str(memory), 4)
+        reads.clear()
+        found.append((made.solve("lm", memory=memory), made.poses()[1], len(reads)))
+    (little, poses, many), (much, others, few) = found
+    assert little.chi2 == much.chi2
+    assert np.array_equal(poses, others)
+    assert few == len(made.index.pieces) < many
+
+
+def test_an_interrupted_solve_goes_on(tmp_path):
+    made = masat.partition(CITY, tmp_path / "parts", 4)
+    assert made.status() is None
+
+    def stop(iteration):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        made.solve("gn", report=stop)
+    state = masat.Partition(tmp_path / "parts").status()
+    assert state.reason is None
+    assert len(state.history) == 1
+    assert made.graph().chi2 == pytest.approx(state.chi2, rel=1e-12)
+    rest = made.solve("gn")
+    whole = masat.optimize(CITY, "gn")
+    assert rest.iterations == whole.iterations
+    assert rest.initial_chi2 == pytest.approx(whole.initial_chi2)
+    assert rest.chi2 == pytest.approx(whole.chi2, rel=1e-9)
+    assert made.status().reason == rest.reason.name
+    assert made.solve("gn", restart=True).iterations == whole.iterations
+    # Only the poses of the graph and the latest ones are kept.
+    assert len([f for f in (tmp_path / "parts/state").iterdir() if f.is_dir()]) <= 3
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_that_loses_workers_finds_the_same_bits(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    alone = masat.partition(CITY, tmp_path / "alone", 4)
+    best = alone.solve("gn")
+    made = masat.partition(CITY, tmp_path / "parts", 4)
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        killed = []
+
+        def kill_one(iteration):
+            if not killed:
+                killed.append(next(iter(client.run(os.getpid).values())))
+                os.kill(killed[-1], 9)
+
+        found = made.solve("gn", client=client, report=kill_one)
+    assert killed
+    assert found.chi2 == best.chi2
+    assert np.array_equal(made.poses()[1], alone.poses()[1])
+
+
+def test_a_solve_that_cannot_be_is_refused(tmp_path):
+    bare = PoseGraph.from_arrays(CITY.edges, CITY.measurements, CITY.information)
+    made = masat.partition(bare, tmp_path / "parts", 2)
+    with pytest.raises(PartitionError, match="has no poses yet"):
+        made.poses()
+    with pytest.raises(PartitionError, match="the graph had no poses"):
+        made.solve(init="given")
+    with pytest.raises(PartitionError, match="unknown initial guess 'chordal'"):
+        made.solve(init="chordal")
+    with pytest.raises(masat.OptimizationError, match="unknown optimizer 'dogleg'"):
+        made.solve("dogleg")
+
+
+def test_what_nothing_determines_is_named(tmp_path):
+    graph = random_graph(2, 30, 20, 0, noise=0.01)
+    information = graph.information.copy()
+    touching = (graph.edges == 7).any(axis=1)
+    information[touching] = 1e-300 * np.eye(3)
+    weak = PoseGraph.from_arrays(graph.edges, graph.measurements, information, poses=graph.poses)
+    found = masat.partition(weak, tmp_path / "parts", 3).solve("gn")
+    best = masat.optimize(weak, "gn")
+    assert found.reason == best.reason
+
+
+def test_costs_follow_from_the_index(tmp_path):
+    made = masat.partition(CITY, tmp_path / "parts", 4)
+    one, two, four = made.costs()
+    assert [one.workers, two.workers, four.workers] == [1, 2, 4]
+    assert one.operations == one.critical == sum(e.operations for e in made.index.pieces)
+    assert one.sent == 0 < two.sent < four.sent
+    assert one.memory > two.memory > four.memory
+    assert four.critical < two.critical < one.critical
+    whole = CITY.elimination.operations(3)
+    assert 0.5 * whole < one.operations < 5 * whole
