@@ -222,3 +222,11 @@ def test_costs_follow_from_the_index(tmp_path):
     assert four.critical < two.critical < one.critical
     whole = CITY.elimination.operations(3)
     assert 0.5 * whole < one.operations < 5 * whole
+
+
+def test_a_part_may_have_no_nodes_but_separators(tmp_path):
+    graph = masat.PoseGraph.from_arrays(
+        [(0, 1), (1, 2), (2, 3), (3, 4)], [(1, 0, 0)] * 4, [np.eye(3)] * 4
+    )
+    made = masat.partition(graph, tmp_path / "parts", labels=[0, 0, 1, 2, 2])
+    assert made.solve("gn").chi2 < 1e-20

@@ -255,5 +255,8 @@ def nested_dissection(elimination: _core.Elimination) -> Indices | None:
     except ImportError:
         return None
     start, neighbors = elimination.adjacency()
+    if len(start) < 2:
+        # METIS divides by the number of nodes.
+        return np.empty(0, np.int32)
     order, _ = pymetis.nested_dissection(pymetis.CSRAdjacency(start, neighbors))
     return np.array(order, np.int32)

@@ -73,6 +73,8 @@ class _Workspace:
     def linearize(self, poses: str) -> Linearization:
         if self.linearization is None or self.at != poses:
             at = read_poses(self.file.folder, poses, self.file.name, self.system.piece)
+            # An interruption must not leave what was known of other poses.
+            self.linearization = self.eliminated = None
             self.linearization, self.at = self.system.linearize(at), poses
         return self.linearization
 
