@@ -41,20 +41,20 @@ sanitize: $(VENV)/.test
 	ASAN_OPTIONS=detect_leaks=0 \
 	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	PYTHONPATH=build/sanitized $(BIN)/python -m pytest -q -n auto \
-	  tests/test_core.py tests/test_fuzz.py tests/test_cholesky.py tests/test_structure.py \
+	  tests/test_core.py tests/test_fuzz.py tests/test_cholesky.py tests/test_threads.py tests/test_structure.py \
 	  tests/test_lie.py tests/test_toro.py tests/test_relaxation.py tests/test_covariance.py \
 	  tests/test_online.py tests/test_online_stress.py tests/test_online_priors.py \
 	  tests/test_online_landmarks.py tests/test_parts_elimination.py \
 	  -k "not (same_bits and 3) and not long_calls and not robust_map_leaves_out_wrong"
 
-# The tests that factorize or invert with several threads, on a core with the thread sanitizer.
+# The tests that compute with several threads, on a core with the thread sanitizer.
 sanitize-threads: $(VENV)/.test
 	$(BIN)/pip install -q --no-deps --target build/sanitized-threads --upgrade . \
 	  -C cmake.define.MASAT_SANITIZE=thread -C cmake.define.CMAKE_COMPILE_WARNING_AS_ERROR=ON
 	TSAN_OPTIONS=exitcode=66 OPENBLAS_NUM_THREADS=1 \
 	LD_PRELOAD="$$($(CXX) -print-file-name=libtsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
 	PYTHONPATH=build/sanitized-threads $(BIN)/python -m pytest -q tests/test_cholesky.py \
-	  tests/test_covariance.py tests/test_online.py tests/test_online_stress.py -k "(same_bits and 2) or pivot or interrupted or no_more_threads or on_the_threads"
+	  tests/test_threads.py tests/test_covariance.py tests/test_online.py tests/test_online_stress.py -k "(same_bits and 2) or pivot or interrupted or no_more_threads or on_the_threads"
 
 # The view in Chromium, which has to be installed: apt-get install chromium.
 test-browser: $(VENV)/.test

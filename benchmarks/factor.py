@@ -13,14 +13,12 @@ import numpy as np
 
 import masat
 from benchmarks.cholmod import Cholmod, block_order
-from benchmarks.data import DATA, medians
-from benchmarks.graphs import CASES, quietly_read
+from benchmarks.data import medians
+from benchmarks.graphs import CASES, CITY, graph_of
 from benchmarks.system import assemble
 from benchmarks.threads import single_threaded
 from masat.optimizers.equations import normal_equations
-from masat.worlds import city, perturb
 
-CITY = "City 100k"
 WANTED, WANTED_OF_TWO = 1.0, 0.65
 
 
@@ -47,15 +45,6 @@ class Row:
     def ratio_of_two(self) -> float:
         """The same of two threads, CHOLMOD's still one."""
         return self.times["two"] / self.cholmod
-
-
-def graph_of(name: str) -> masat.PoseGraph:
-    """Return a graph of the table at MASAT's poses."""
-    if name == CITY:
-        graph = perturb(city(100_000, seed=1), [0.05, 0.05, 0.02], seed=1)
-    else:
-        graph = quietly_read(DATA / CASES[name].file)
-    return masat.initialize(graph, "masat")
 
 
 def analyze(graph: masat.PoseGraph) -> None:

@@ -20,8 +20,8 @@ import gtsam
 
 import masat
 from benchmarks.data import medians
-from benchmarks.factor import graph_of, measure
-from benchmarks.graphs import CASES
+from benchmarks.factor import measure
+from benchmarks.graphs import CASES, graph_of
 from benchmarks.solvers import iterations
 from benchmarks.threads import single_threaded
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import masat
 from benchmarks.data import DATA
 from masat.structure import Structure
+from masat.worlds import city, perturb
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,18 @@ CASES = {
         Case("cubicle", "3d/cubicle.g2o", 8.750614187),
     )
 }
+
+
+CITY = "City 100k"
+
+
+def graph_of(name: str) -> masat.PoseGraph:
+    """Return a public graph, or a simulated city of 100,000 poses, at MASAT's poses."""
+    if name == CITY:
+        graph = perturb(city(100_000, seed=1), [0.05, 0.05, 0.02], seed=1)
+    else:
+        graph = quietly_read(CASES[name].source)
+    return masat.initialize(graph, "masat")
 
 
 def unused(graph: masat.PoseGraph) -> masat.PoseGraph:

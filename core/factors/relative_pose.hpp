@@ -11,9 +11,10 @@
 
 namespace masat {
 
-// A table of factors. Each kind has size(), cost(k, poses), and linearize(k, poses, losses,
-// system), where poses[node] is a pose and the system a NormalSystem. What the constructor is given
-// is not copied and must outlive the table; without information there are residuals alone.
+// A table of factors. Each kind has size(), edges(), cost(k, poses), and linearize(k, poses,
+// losses, adder), where poses[node] is a pose and the adder that of a NormalSystem. What the
+// constructor is given is not copied and must outlive the table; without information there are
+// residuals alone.
 template <LieGroup Group>
 class RelativePoseFactors {
  public:
@@ -27,6 +28,7 @@ class RelativePoseFactors {
         information_(information) {}
 
   std::int64_t size() const { return static_cast<std::int64_t>(edges_.size()); }
+  std::span<const Edge> edges() const { return edges_; }
 
   template <class Poses>
   Tangent residual(std::int64_t k, const Poses& poses) const {
@@ -40,10 +42,10 @@ class RelativePoseFactors {
     return e.dot(information(k) * e);
   }
 
-  // Adds the factor to the system and returns its cost.
-  template <class Poses, class System>
+  // Adds the factor to a system and returns its cost.
+  template <class Poses, class Adder>
   [[gnu::always_inline]] double linearize(std::int64_t k, const Poses& poses,
-                                          const EdgeLosses& losses, System& system) const {
+                                          const EdgeLosses& losses, Adder& adder) const {
     Square from, to;
     const Tangent e = error(measured_[k], poses[edges_[k].from], poses[edges_[k].to], from, to);
     const bool robust = losses.robust(k);
@@ -51,7 +53,7 @@ class RelativePoseFactors {
     if (robust) value = losses.loss()(e.dot(information(k) * e));
     const Square w = value.weight * information(k);
     const Tangent we = w * e;
-    system.add_edge(k, edges_[k], from, to, w, we);
+    adder.add_edge(from, to, w, we);
     return robust ? value.cost : e.dot(we);
   }
 

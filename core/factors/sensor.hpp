@@ -87,6 +87,7 @@ class SensorFactors {
         range_bearing_(range_bearing) {}
 
   std::int64_t size() const { return static_cast<std::int64_t>(edges_.size()); }
+  std::span<const Edge> edges() const { return edges_; }
 
   template <class Poses>
   Tangent residual(std::int64_t k, const Poses& poses) const {
@@ -99,9 +100,9 @@ class SensorFactors {
     return e.dot(information(k) * e);
   }
 
-  template <class Poses, class System>
+  template <class Poses, class Adder>
   double linearize(std::int64_t k, const Poses& poses, const EdgeLosses& losses,
-                   System& system) const {
+                   Adder& adder) const {
     Square from, to;
     const Tangent e =
         sensor_error(measured(k), poses[edges_[k].from], poses[edges_[k].to], sensor(k), from, to);
@@ -109,7 +110,7 @@ class SensorFactors {
     const LossValue value = losses.robust(k) ? losses.loss()(chi2)
                                              : LossValue{losses.weight(k) * chi2, losses.weight(k)};
     const Square w = value.weight * information(k);
-    system.add_edge(k, edges_[k], from, to, w, Tangent(w * e));
+    adder.add_edge(from, to, w, Tangent(w * e));
     return value.cost;
   }
 

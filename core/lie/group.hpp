@@ -32,8 +32,8 @@ namespace masat {
 // step_at(o) is the derivative of o^-1 from_tangent(u) o, as a tangent vector, at u = 0.
 //
 // Table          Read-only view of an array of poses, which must outlive it or be replaced by
-//                assign(). What many uses of a pose share is computed once, without allocation if
-//                as many poses have been assigned before.
+//                view(), without allocation if it had as many poses before. What many uses of a
+//                pose share, prepare() computes once for a range of them, after view().
 // Mean           Average of the poses given to the constructor and to add(): of one pose, itself.
 // Turn           The rotation of a pose, of which operator() returns a fraction, at the origin.
 template <class G>
@@ -62,7 +62,8 @@ concept LieGroup =
       { error(a, a, b) } -> std::same_as<typename G::Tangent>;
       { error(a, a, b, jacobian, jacobian) } -> std::same_as<typename G::Tangent>;
       { step_at(a) } -> std::same_as<typename G::Square>;
-      table.assign(in, count);
+      table.view(in, count);
+      table.prepare(count, count);
       { poses[count] } -> std::convertible_to<G>;
       mean.add(b);
       { mean.get() } -> std::same_as<G>;

@@ -74,14 +74,19 @@ struct SE2 {
 class SE2::Table {
  public:
   Table() = default;
-  Table(const double* poses, std::int64_t count) { assign(poses, count); }
-  void assign(const double* poses, std::int64_t count) {
+  Table(const double* poses, std::int64_t count) {
+    view(poses, count);
+    prepare(0, count);
+  }
+  void view(const double* poses, std::int64_t count) {
     poses_ = poses;
     if (count > capacity_) {
       rotations_ = std::make_unique_for_overwrite<SinCos[]>(count);
       capacity_ = count;
     }
-    sincos(poses + 2, kSize, count, rotations_.get());
+  }
+  void prepare(std::int64_t begin, std::int64_t end) {
+    sincos(poses_ + 2 + kSize * begin, kSize, end - begin, rotations_.get() + begin);
   }
   SE2 operator[](std::int64_t k) const {
     const double* const p = poses_ + kSize * k;

@@ -70,8 +70,9 @@ struct SE3 {
 class SE3::Table {
  public:
   Table() = default;
-  Table(const double* poses, std::int64_t count) { assign(poses, count); }
-  void assign(const double* poses, std::int64_t) { poses_ = poses; }
+  Table(const double* poses, std::int64_t count) { view(poses, count); }
+  void view(const double* poses, std::int64_t) { poses_ = poses; }
+  void prepare(std::int64_t, std::int64_t) {}
   SE3 operator[](std::int64_t k) const { return load(poses_ + kSize * k); }
 
  private:

@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <cstdint>
 #include <memory>
+#include <numeric>
 #include <span>
-#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -30,7 +30,7 @@ class NormalEquations {
   virtual std::int64_t factors() const = 0;
   virtual std::span<const std::int32_t> free_nodes() const = 0;
 
-  // The sum of the losses of e' W e.
+  // The sum of the losses of e' W e, in the same order as linearize adds them.
   virtual double cost(const double* poses, const EdgeLosses& losses) = 0;
   // Sets H and the gradient's negative half at `poses`; returns the cost there.
   virtual double linearize(const double* poses, const EdgeLosses& losses) = 0;
@@ -63,36 +63,40 @@ class NormalEquationsOf : public NormalEquations {
   static constexpr int kDof = Group::kDof, kSize = Group::kSize;
 
   // Fixed nodes keep their poses and are not part of the system. The factors have one edge of the
-  // graph each. The numbers do not depend on how many threads factorize.
+  // graph each. The numbers do not depend on how many threads work.
   NormalEquationsOf(Factors factors, std::shared_ptr<const Elimination> elimination, int threads)
-      : tables_(std::move(factors)),
+      : factors_(std::move(factors)),
         matrix_(std::move(elimination), kDof, threads),
-        system_(matrix_) {}
+        system_(matrix_, factors_.edges()) {}
   // The system refers to the matrix.
   NormalEquationsOf(const NormalEquationsOf&) = delete;
 
   int dof() const override { return kDof; }
   int pose_size() const override { return kSize; }
   std::int32_t nodes() const override { return elimination().nodes(); }
-  std::int64_t factors() const override {
-    return std::apply([](const auto&... table) { return (table.size() + ...); }, tables_);
-  }
+  std::int64_t factors() const override { return factors_.size(); }
   std::span<const std::int32_t> free_nodes() const override { return elimination().free_nodes(); }
   std::span<const double> rhs() const override { return system_.rhs(); }
 
   double cost(const double* poses, const EdgeLosses& losses) override {
-    poses_.assign(poses, nodes());
-    return each_table(losses, [&](const auto& table, const EdgeLosses& of_table) {
-      return total_cost(table, poses_, of_table);
+    const WorkerPool::Session session(matrix_.pool());
+    set_poses(poses);
+    const EdgeGroups& groups = system_.groups();
+    sums_.resize(groups.count());
+    matrix_.pool().for_each(groups.count(), [&](std::int32_t group, int) {
+      double sum = 0;
+      for (const EdgeGroups::Entry& entry : groups.entries_of(group)) {
+        sum += losses.cost(entry.edge, factors_.cost(entry.edge, poses_));
+      }
+      sums_[group] = sum;
     });
+    return std::accumulate(sums_.begin(), sums_.end(), 0.0);
   }
 
   double linearize(const double* poses, const EdgeLosses& losses) override {
-    poses_.assign(poses, nodes());
-    system_.set_zero();
-    return each_table(losses, [&](const auto& table, const EdgeLosses& of_table) {
-      return masat::linearize(table, poses_, of_table, system_);
-    });
+    const WorkerPool::Session session(matrix_.pool());
+    set_poses(poses);
+    return masat::linearize(factors_, poses_, losses, system_);
   }
 
   void diagonal(double* out) const override { matrix_.diagonal(out); }
@@ -122,33 +126,37 @@ class NormalEquationsOf : public NormalEquations {
   }
 
   void retract(const double* poses, const double* step, double* out) const override {
-    std::copy(poses, poses + std::int64_t{kSize} * nodes(), out);
-    for (const std::int32_t node : free_nodes()) {
-      double* const pose = out + std::int64_t{kSize} * node;
-      (Group::load(pose) * Group::from_tangent(step)).store(pose);
-      step += kDof;
-    }
+    const WorkerPool::Session session(matrix_.pool());
+    matrix_.pool().for_chunks(nodes(), kNodesPerTask, [&](std::int64_t begin, std::int64_t end) {
+      for (std::int64_t node = begin; node < end; ++node) {
+        const double* const pose = poses + kSize * node;
+        const std::int32_t index = elimination().index(static_cast<std::int32_t>(node));
+        if (index < 0) {
+          std::copy_n(pose, kSize, out + kSize * node);
+        } else {
+          const double* const tangent = step + std::int64_t{kDof} * index;
+          (Group::load(pose) * Group::from_tangent(tangent)).store(out + kSize * node);
+        }
+      }
+    });
   }
 
  private:
-  // The sum of f(table, its losses) over the tables; the losses are those of all of them, in order.
-  template <class F>
-  double each_table(const EdgeLosses& losses, const F& f) const {
-    double sum = 0;
-    std::int64_t first = 0;
-    const auto add = [&](const auto& table) {
-      sum += f(table, losses.from(first));
-      first += table.size();
-    };
-    std::apply([&](const auto&... table) { (add(table), ...); }, tables_);
-    return sum;
+  // Poses that a task computes: some ten microseconds of work.
+  static constexpr std::int64_t kNodesPerTask = 512;
+
+  void set_poses(const double* poses) {
+    poses_.view(poses, nodes());
+    matrix_.pool().for_chunks(nodes(), kNodesPerTask, [&](std::int64_t begin, std::int64_t end) {
+      poses_.prepare(begin, end);
+    });
   }
 
-  // The kinds of factors. Another kind is one more entry.
-  std::tuple<Factors> tables_;
+  Factors factors_;
   typename Group::Table poses_;  // those of the last evaluation
   GraphMatrix matrix_;
   NormalSystem<kDof> system_;
+  std::vector<double> sums_;
 };
 
 }  // namespace masat

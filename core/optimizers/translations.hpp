@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <utility>
 #include <vector>
 
@@ -20,16 +21,27 @@ class TranslationSystem {
  public:
   static constexpr int d = Group::kDimension;
 
-  explicit TranslationSystem(GraphMatrix& matrix) : inner_(matrix) { inner_.set_zero(); }
+  TranslationSystem(GraphMatrix& matrix, std::span<const Edge> edges) : inner_(matrix, edges) {}
   std::vector<double> take_rhs() && { return std::move(inner_).take_rhs(); }
-
-  void add_edge(std::int64_t edge, const Edge& nodes, const typename Group::Square& from,
-                const typename Group::Square& to, const typename Group::Square& w,
-                const typename Group::Tangent& we) {
-    inner_.add_edge(edge, nodes, from.template topLeftCorner<d, d>(),
-                    to.template topLeftCorner<d, d>(), w.template topLeftCorner<d, d>(),
-                    we.template head<d>());
+  const EdgeGroups& groups() const { return inner_.groups(); }
+  template <class Add>
+  double assemble(Add add) {
+    return inner_.assemble(add);
   }
+
+  class Adder {
+   public:
+    Adder(TranslationSystem& system, const EdgeGroups::Entry& entry)
+        : inner_(system.inner_, entry) {}
+    void add_edge(const typename Group::Square& from, const typename Group::Square& to,
+                  const typename Group::Square& w, const typename Group::Tangent& we) {
+      inner_.add_edge(from.template topLeftCorner<d, d>(), to.template topLeftCorner<d, d>(),
+                      w.template topLeftCorner<d, d>(), we.template head<d>());
+    }
+
+   private:
+    typename NormalSystem<d>::Adder inner_;
+  };
 
  private:
   NormalSystem<d> inner_;
@@ -41,7 +53,7 @@ class TranslationSystem {
 template <LieGroup Group, class Factors>
 std::int32_t solve_translations(const Factors& factors, GraphMatrix& matrix, double* poses) {
   const typename Group::Table pose(poses, matrix.elimination()->nodes());
-  TranslationSystem<Group> system(matrix);
+  TranslationSystem<Group> system(matrix, factors.edges());
   linearize(factors, pose, EdgeLosses(), system);
   std::vector<double> step = std::move(system).take_rhs();
   const std::vector<double> undamped(step.size());

@@ -5,18 +5,25 @@
 
 #include "sparse/multifrontal.hpp"
 #include "sparse/selected_inverse.hpp"
+#include "sparse/substitution.hpp"
 
 namespace masat {
+namespace {
+
+// Whose rows a task brings into another order: some microseconds of work.
+constexpr std::int64_t kNodesPerTask = 2048;
+
+}  // namespace
 
 struct BlockCholesky::Impl {
-  Impl(const Elimination& elimination, int d, int threads)
+  Impl(const Elimination& elimination, int d, WorkerPool& pool)
       : layout(elimination.layout(d)),
-        factor(layout, kernels(), threads),
-        permuted(elimination.free_nodes().size() * d) {}
+        factor(layout, kernels(), pool),
+        substitution(layout, kernels(), pool) {}
 
   const FrontLayout& layout;
   Multifrontal factor;
-  std::vector<double> permuted;
+  Substitution substitution;
   bool factorized = false;
 
   const Multifrontal& checked() const {
@@ -29,35 +36,40 @@ struct BlockCholesky::Impl {
     return checked();
   }
 
-  // Copies right-hand sides into the elimination order and back, groups of `width` columns after
-  // each other.
+  // Calls solve() with right-hand sides in the elimination order, and brings them back.
   template <class Solve>
-  void permute(std::span<double> rhs, int columns, int width, Solve solve) {
+  void permuted(std::span<double> rhs, int columns, Solve solve) {
     const std::vector<std::int32_t>& order = layout.tree().order;
-    const int d = layout.block_size();
-    // The last group is filled up with zeros.
-    permuted.resize(order.size() * d * ((columns + width - 1) / width * width));
-    if (columns % width != 0) std::fill(permuted.begin(), permuted.end(), 0.0);
+    const int d = layout.block_size(), width = columns == 1 ? 1 : kernels().width;
+    // Groups of `width` columns; the last group is filled up with zeros.
+    substitution.reserve(width, (columns + width - 1) / width);
+    WorkerPool& pool = factor.pool();
+    const WorkerPool::Session session(pool);
+    const auto nodes = static_cast<std::int64_t>(order.size());
+    // Calls copy(a value of `rhs`, the same one in the elimination order) for all values.
     const auto exchange = [&](auto copy) {
-      double* packed = permuted.data();
       for (int first = 0; first < columns; first += width) {
         const int count = std::min(width, columns - first);
-        for (const std::int32_t node : order) {
-          double* own = rhs.data() + std::int64_t{node} * d * columns + first;
-          for (int i = 0; i < d; ++i, own += columns, packed += width) {
-            for (int c = 0; c < count; ++c) copy(own[c], packed[c]);
+        double* const group = substitution.group(first / width);
+        pool.for_chunks(nodes, kNodesPerTask, [&](std::int64_t begin, std::int64_t end) {
+          double* packed = group + begin * d * width;
+          for (std::int64_t k = begin; k < end; ++k) {
+            double* own = rhs.data() + std::int64_t{order[k]} * d * columns + first;
+            for (int i = 0; i < d; ++i, own += columns, packed += width) {
+              for (int c = 0; c < count; ++c) copy(own[c], packed[c]);
+            }
           }
-        }
+        });
       }
     };
     exchange([](double& own, double& packed) { packed = own; });
-    solve(std::span<double>(permuted));
+    solve();
     exchange([](double& own, double& packed) { own = packed; });
   }
 };
 
-BlockCholesky::BlockCholesky(const Elimination& elimination, int block_size, int threads) {
-  impl_ = std::make_unique<Impl>(elimination, block_size, threads);
+BlockCholesky::BlockCholesky(const Elimination& elimination, int block_size, WorkerPool& pool) {
+  impl_ = std::make_unique<Impl>(elimination, block_size, pool);
 }
 BlockCholesky::~BlockCholesky() = default;
 
@@ -88,18 +100,17 @@ double BlockCholesky::pivot_ratio() const { return impl_->checked().pivot_ratio(
 
 void BlockCholesky::solve(std::span<double> rhs, int columns) const {
   const Multifrontal& factor = impl_->whole();
-  const int width = columns == 1 ? 1 : kernels().width;
-  impl_->permute(rhs, columns, width, [&](std::span<double> x) { factor.solve(x, width); });
+  impl_->permuted(rhs, columns, [&] { impl_->substitution.solve(factor); });
 }
 
 void BlockCholesky::reduce(std::span<double> rhs) const {
   const Multifrontal& factor = impl_->checked();
-  impl_->permute(rhs, 1, 1, [&](std::span<double> x) { factor.reduce(x); });
+  impl_->permuted(rhs, 1, [&] { impl_->substitution.reduce(factor); });
 }
 
 void BlockCholesky::substitute(std::span<double> rhs) const {
   const Multifrontal& factor = impl_->checked();
-  impl_->permute(rhs, 1, 1, [&](std::span<double> x) { factor.substitute(x); });
+  impl_->permuted(rhs, 1, [&] { impl_->substitution.substitute(factor); });
 }
 
 std::vector<double> BlockCholesky::contribution() const {

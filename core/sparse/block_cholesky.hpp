@@ -9,6 +9,7 @@
 
 #include "sparse/elimination.hpp"
 #include "sparse/multifrontal.hpp"
+#include "sparse/worker_pool.hpp"
 
 namespace masat {
 
@@ -30,9 +31,9 @@ struct PartOnly : std::logic_error {
 
 class BlockCholesky {
  public:
-  // Blocks have 1 to 10 rows. Results do not depend on the number of threads. The elimination must
-  // outlive this object.
-  BlockCholesky(const Elimination& elimination, int block_size, int threads = 1);
+  // Blocks have 1 to 10 rows. Results do not depend on the number of threads. The elimination and
+  // the pool must outlive this object.
+  BlockCholesky(const Elimination& elimination, int block_size, WorkerPool& pool);
   ~BlockCholesky();
 
   // Factorizes the matrix with the blocks `values`, each column-major, in the order of the pattern,

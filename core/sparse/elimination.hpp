@@ -30,7 +30,6 @@ class Elimination {
   std::span<const std::int32_t> free_nodes() const { return free_; }
   // A node's index among the free ones, or -1.
   std::int32_t index(std::int32_t node) const { return index_[node]; }
-  std::int32_t place(std::int32_t node) const { return index_[node]; }
   // The index in the pattern of the block of an edge's two nodes, or -1.
   std::int64_t joint(std::int64_t edge) const { return joint_[edge]; }
 

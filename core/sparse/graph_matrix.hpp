@@ -10,25 +10,30 @@
 
 #include "sparse/block_cholesky.hpp"
 #include "sparse/elimination.hpp"
+#include "sparse/worker_pool.hpp"
 
 namespace masat {
 
 // Vectors and tables of right-hand sides have d rows a free node, and are row-major.
 class GraphMatrix {
  public:
+  // At most as many threads work as are asked for, and no more than find work. The numbers do not
+  // depend on how many they are.
   GraphMatrix(std::shared_ptr<const Elimination> elimination, int block_size, int threads = 1);
 
   // A copy is not factorized.
   GraphMatrix(const GraphMatrix& other)
       : elimination_(other.elimination_),
         d_(other.d_),
-        threads_(other.threads_),
-        values_(other.values_) {}
+        values_(other.values_),
+        pool_(std::make_unique<WorkerPool>(other.pool_->threads())) {}
   GraphMatrix(GraphMatrix&&) = default;
 
   int block_size() const { return d_; }
   std::int64_t rows() const { return std::int64_t{d_} * pattern().columns(); }
   const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
+  // The threads that compute with this matrix.
+  WorkerPool& pool() const { return *pool_; }
 
   // Adds to H the form
   //     x_from' first x_from + 2 x_from' joint x_to + x_to' second x_to
@@ -38,6 +43,10 @@ class GraphMatrix {
   void add_edge(const Topology& graph, std::int64_t edge, const double* first, const double* joint,
                 const double* second, const double* values, int columns, double* rhs);
 
+  // Blocks behind those of the pattern, for parts of sums that are not part of the matrix.
+  void set_cells(std::int64_t count) {
+    values_.resize((static_cast<std::int64_t>(pattern().row.size()) + count) * d_ * d_);
+  }
   void set_zero() { std::fill(values_.begin(), values_.end(), 0.0); }
   // Blocks, column-major: that of an entry of the pattern, that of a free node by its index, and
   // that of an edge between free nodes, whose rows are those of the node with the greater index.
@@ -83,7 +92,7 @@ class GraphMatrix {
 
  private:
   BlockCholesky& cholesky() {
-    if (!cholesky_) cholesky_ = std::make_unique<BlockCholesky>(*elimination_, d_, threads_);
+    if (!cholesky_) cholesky_ = std::make_unique<BlockCholesky>(*elimination_, d_, *pool_);
     return *cholesky_;
   }
   const BlockCholesky& factor() const {
@@ -92,8 +101,9 @@ class GraphMatrix {
   }
 
   std::shared_ptr<const Elimination> elimination_;
-  int d_, threads_;
+  int d_;
   std::vector<double> values_;
+  std::unique_ptr<WorkerPool> pool_;  // where it stays if the matrix moves
   std::unique_ptr<BlockCholesky> cholesky_;
 };
 

@@ -32,11 +32,11 @@ std::int32_t chunks(std::int32_t count, std::int32_t size) { return (count + siz
 
 }  // namespace
 
-Multifrontal::Multifrontal(const FrontLayout& layout, const Kernels& kernels, int threads)
+Multifrontal::Multifrontal(const FrontLayout& layout, const Kernels& kernels, WorkerPool& pool)
     : layout_(layout),
       kernels_(kernels),
-      schedule_(layout, threads),
-      pool_(schedule_.threads),
+      schedule_(layout, pool.threads()),
+      pool_(pool),
       factor_(layout.factor_size()),
       common_(schedule_.common_size) {
   if (!schedule_.subtrees.empty()) {
@@ -45,11 +45,6 @@ Multifrontal::Multifrontal(const FrontLayout& layout, const Kernels& kernels, in
   const std::size_t scalars = layout.tree().order.size() * layout.block_size();
   reciprocal_.resize(scalars);
   floor_.resize(scalars);
-  std::int64_t widest = 0;
-  for (std::int32_t f = 0; f < layout.fronts(); ++f) {
-    widest = std::max({widest, layout.shape(f).ld11, layout.shape(f).ld21});
-  }
-  gathered_ = AlignedBuffer(2 * widest * kernels.width);
 }
 
 std::int32_t Multifrontal::factorize(std::span<const double> values,
@@ -63,7 +58,7 @@ std::int32_t Multifrontal::factorize(std::span<const double> values,
     const WorkerPool::Session session(pool_);
     pool_.for_each(static_cast<std::int32_t>(schedule_.subtrees.size()),
                    [this](std::int32_t s, int rank) {
-                     const Schedule::Subtree& subtree = schedule_.subtrees[s];
+                     const Subtree& subtree = schedule_.subtrees[s];
                      const Solo solo{rank};
                      for (std::int32_t f = subtree.first; f <= subtree.last && matters(f); ++f) {
                        process(f, rank, solo);

@@ -25,8 +25,8 @@ struct Element {
 
 class Multifrontal {
  public:
-  // The layout must outlive this object.
-  Multifrontal(const FrontLayout& layout, const Kernels& kernels, int threads);
+  // The layout and the pool must outlive this object.
+  Multifrontal(const FrontLayout& layout, const Kernels& kernels, WorkerPool& pool);
 
   // Returns -1, or the first index in the elimination order whose pivot failed. The factor is the
   // same for any number of threads. Throws what check_interrupt() throws. `elements` are the
@@ -44,19 +44,12 @@ class Multifrontal {
   // factorization, which must have succeeded; 1 without pivots.
   double pivot_ratio() const;
 
-  // Overwrites right-hand sides, in the elimination order, with the solutions. A row has `width` of
-  // them side by side, either one or as many as the kernels' `width`; further groups follow.
-  void solve(std::span<double> x, int width) const;
+  WorkerPool& pool() const { return pool_; }
 
-  // The two halves of it, for one right-hand side. Between them, the values of the boundary are
-  // those of the reduced right-hand side, for which its solution has to be put in.
-  void reduce(std::span<double> x) const { solve_one(x, true, false); }
-  void substitute(std::span<double> x) const { solve_one(x, false, true); }
-
-  int threads() const { return pool_.threads(); }
-
-  // A front of the factor, without its contribution block, which is not kept.
+  // A front of the factor, without its contribution block, which is not kept, and 1 / sqrt(pivot)
+  // for each of its pivots.
   Front front(std::int32_t f) const { return layout_.front(f, factor_.data()); }
+  const double* reciprocal(std::int32_t f) const { return reciprocal_.data() + layout_.first(f); }
 
  private:
   struct Fixing {
@@ -76,10 +69,6 @@ class Multifrontal {
   std::int32_t eliminate(const Front& front, std::int32_t f, int rank, Threads&& threads);
   bool matters(std::int32_t f) const;
   void copy_element(double* to, std::int32_t f, const Element& element) const;
-  void solve_one(std::span<double> x, bool reduce, bool substitute) const;
-  template <class Width, class Block>
-  void solve_blocks(std::span<double> x, Width width, Block block, bool reduce,
-                    bool substitute) const;
   void report_failed(std::int64_t column);
   bool fix(std::int64_t column) const;
   void poll(int rank, double operations) noexcept;
@@ -87,8 +76,8 @@ class Multifrontal {
   const FrontLayout& layout_;
   const Kernels& kernels_;
   Schedule schedule_;
-  WorkerPool pool_;
-  AlignedBuffer factor_, common_, gathered_;
+  WorkerPool& pool_;
+  AlignedBuffer factor_, common_;
   std::vector<AlignedBuffer> own_;  // of each thread
   // Of each pivot: 1 / sqrt(pivot), and epsilon times its diagonal entry before the elimination. A
   // pivot that is not greater than that floor has failed.

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <numeric>
 #include <span>
-#include <thread>
 
 namespace masat {
 namespace {
@@ -12,25 +11,10 @@ namespace {
 // the threads wait for each other.
 constexpr double kShared = 2e6;
 
-// The numbers do not depend on the threads. Beyond this limit more of them only take memory.
-int limit_threads(int asked) {
-  return std::clamp(asked, 1, std::max<int>(std::thread::hardware_concurrency(), 64));
-}
-
 // Estimated floating-point operations of a front, with its assembly.
 double front_cost(const FrontLayout& layout, std::int32_t f) {
   const double pivots = layout.shape(f).pivots, rows = layout.shape(f).rows;
   return pivots * (pivots * pivots / 3 + rows * (pivots + rows)) + 4 * rows * rows + 4000;
-}
-
-std::vector<double> subtree_costs(const FrontLayout& layout) {
-  std::vector<double> cost(layout.fronts(), 0);
-  for (std::int32_t f = 0; f < layout.fronts(); ++f) {
-    cost[f] += front_cost(layout, f);
-    const std::int32_t parent = layout.tree().parent[f];
-    if (parent >= 0) cost[parent] += cost[f];
-  }
-  return cost;
 }
 
 // Two stacks, for even and odd depths in the tree: the block of a front is put on one while those
@@ -71,59 +55,65 @@ class Stacks {
 
 }  // namespace
 
-Schedule::Schedule(const FrontLayout& layout, int asked_threads) {
-  const int allowed = limit_threads(asked_threads);
-  const std::int32_t n = layout.fronts();
-  const std::vector<std::int32_t>& parent = layout.tree().parent;
-  const std::vector<double> cost = subtree_costs(layout);
-  double total = 0;
-  for (std::int32_t f = 0; f < n; ++f) total += parent[f] < 0 ? cost[f] : 0;
-
-  // A subtree is the largest that still lets the threads be balanced.
-  const double limit = allowed > 1 ? total / (8 * allowed) : 0;
-  std::int32_t most_tasks = 1;
-  std::vector<std::int32_t> depth(n, 0), subtree_of(n, -1);
-  for (std::int32_t f = n - 1; f >= 0; --f) {
-    if (parent[f] >= 0) depth[f] = depth[parent[f]] + 1;
-    if (parent[f] >= 0 && subtree_of[parent[f]] >= 0) {
-      subtree_of[f] = subtree_of[parent[f]];
-      subtrees[subtree_of[f]].first = f;
-    } else if (cost[f] <= limit) {
-      subtree_of[f] = static_cast<std::int32_t>(subtrees.size());
+TreeCut::TreeCut(const AssemblyTree& tree, const std::vector<double>& cost, double limit) {
+  std::vector<double> whole = cost;  // of a front and all those below it
+  for (std::int32_t f = 0; f < tree.fronts(); ++f) {
+    if (tree.parent[f] >= 0) whole[tree.parent[f]] += whole[f];
+  }
+  std::vector<bool> inside(tree.fronts(), false);
+  for (std::int32_t f = tree.fronts() - 1; f >= 0; --f) {
+    if (tree.parent[f] >= 0 && inside[tree.parent[f]]) {
+      inside[f] = true;
+      subtrees.back().first = f;  // the descendants of a front come right before it
+    } else if (whole[f] <= limit) {
+      inside[f] = true;
       subtrees.push_back({f, f});
+      costs.push_back(whole[f]);
     } else {
-      const bool shared = allowed > 1 && front_cost(layout, f) > kShared;
-      top.push_back({f, shared});
-      const std::int32_t rows = layout.shape(f).pivots + layout.shape(f).rows;
-      if (shared) most_tasks = std::max(most_tasks, rows / Kernels::kTile);
+      top.push_back(f);
     }
   }
-  threads = std::min(allowed, std::max(most_tasks, static_cast<std::int32_t>(subtrees.size())));
+  std::reverse(subtrees.begin(), subtrees.end());
+  std::reverse(costs.begin(), costs.end());
   std::reverse(top.begin(), top.end());
+}
 
+Schedule::Schedule(const FrontLayout& layout, int threads) {
+  const std::int32_t n = layout.fronts();
+  std::vector<double> cost(n);
+  for (std::int32_t f = 0; f < n; ++f) cost[f] = front_cost(layout, f);
+  const double total = std::accumulate(cost.begin(), cost.end(), 0.0);
+  // A subtree is the largest that still lets the threads be balanced.
+  const TreeCut cut(layout.tree(), cost, threads > 1 ? total / (8 * threads) : 0);
+  for (const std::int32_t f : cut.top) top.push_back({f, threads > 1 && cost[f] > kShared});
+
+  std::vector<std::int32_t> depth(n, 0);
+  for (std::int32_t f = n - 1; f >= 0; --f) {
+    const std::int32_t parent = layout.tree().parent[f];
+    if (parent >= 0) depth[f] = depth[parent] + 1;
+  }
   contribution.assign(n, 0);
   in_common.assign(n, false);
   Stacks stacks(layout, depth, *this);
   std::vector<std::int32_t> fronts;
-  for (const Subtree& subtree : subtrees) {
+  for (const Subtree& subtree : cut.subtrees) {
     fronts.resize(subtree.last - subtree.first + 1);
     std::iota(fronts.begin(), fronts.end(), subtree.first);
     const auto inner = [&](std::int32_t f) { return f != subtree.last; };
     thread_size = std::max(thread_size, stacks.lay_out(fronts, inner));
   }
-  fronts.clear();
-  for (const TopFront& t : top) {
-    fronts.push_back(t.front);
-    in_common[t.front] = true;
-  }
-  common_size = stacks.lay_out(fronts, [&](std::int32_t f) { return subtree_of[f] < 0; });
-  for (const Subtree& subtree : subtrees) {
+  for (const std::int32_t f : cut.top) in_common[f] = true;
+  common_size = stacks.lay_out(cut.top, [&](std::int32_t f) { return in_common[f]; });
+  for (const Subtree& subtree : cut.subtrees) {
     in_common[subtree.last] = true;
     contribution[subtree.last] = common_size;
     common_size += (layout.contribution_size(subtree.last) + 7) / 8 * 8;
   }
-  std::stable_sort(subtrees.begin(), subtrees.end(),
-                   [&](const Subtree& a, const Subtree& b) { return cost[a.last] > cost[b.last]; });
+  std::vector<std::size_t> order(cut.subtrees.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::stable_sort(order.begin(), order.end(),
+                   [&](std::size_t a, std::size_t b) { return cut.costs[a] > cut.costs[b]; });
+  for (const std::size_t k : order) subtrees.push_back(cut.subtrees[k]);
 }
 
 }  // namespace masat

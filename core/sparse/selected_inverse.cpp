@@ -52,7 +52,7 @@ class Inverter {
   }
 
   void invert_fronts(std::vector<Wanted> wanted);
-  void solve_columns(std::vector<Wanted> wanted, int threads);
+  void solve_columns(std::vector<Wanted> wanted, WorkerPool& pool);
 
  private:
   Factor l11(const Front& f) const { return {f.l11, f.pivots, f.pivots, {f.ld11}}; }
@@ -178,7 +178,7 @@ struct Inverter::Workspace {
   std::vector<std::int32_t> rising, falling;
 };
 
-void Inverter::solve_columns(std::vector<Wanted> wanted, int threads) {
+void Inverter::solve_columns(std::vector<Wanted> wanted, WorkerPool& pool) {
   // Of a pair of nodes, solve for the one that occurs in more pairs.
   std::vector<std::int32_t> uses(tree_.order.size(), 0);
   for (const Wanted& w : wanted) {
@@ -206,15 +206,14 @@ void Inverter::solve_columns(std::vector<Wanted> wanted, int threads) {
   for (std::int32_t f = 0; f < tree_.fronts(); ++f) {
     widest = std::max<std::int64_t>(widest, layout_.shape(f).rows);
   }
-  threads = std::clamp<int>(threads, 1, static_cast<int>(batches.size()));
   std::deque<Workspace> spaces;
-  for (int rank = 0; rank < threads; ++rank) {
+  for (int rank = 0; rank < pool.threads(); ++rank) {
     spaces.emplace_back(tree_.order.size() * d_, widest, nodes * d_, tree_.fronts());
   }
-  WorkerPool pool(threads);
   const WorkerPool::Session session(pool);
   // A few batches at a time, between which Ctrl-C is noticed.
-  const auto count = static_cast<std::int32_t>(batches.size()), step = kBatchesAtOnce * threads;
+  const auto count = static_cast<std::int32_t>(batches.size());
+  const std::int32_t step = kBatchesAtOnce * pool.threads();
   for (std::int32_t first = 0; first < count; first += step) {
     check_interrupt();
     pool.for_each(std::min(step, count - first), [&](std::int32_t k, int rank) {
@@ -302,7 +301,7 @@ void invert_blocks(const FrontLayout& layout, const Multifrontal& factor,
     (inverter.in_pattern(wanted) ? inside : outside).push_back(wanted);
   }
   if (!inside.empty()) inverter.invert_fronts(std::move(inside));
-  if (!outside.empty()) inverter.solve_columns(std::move(outside), factor.threads());
+  if (!outside.empty()) inverter.solve_columns(std::move(outside), factor.pool());
 }
 
 }  // namespace masat

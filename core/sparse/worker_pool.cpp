@@ -5,9 +5,10 @@
 namespace masat {
 namespace {
 
-// Waits for another thread: spins for a short time, then leaves the core to others.
+// Waits for another thread: spins for some ten microseconds, then leaves the core to others.
 class Backoff {
  public:
+  bool is_spinning() const { return spins_ <= kSpins; }
   void pause() {
     if (++spins_ > kSpins) {
       std::this_thread::yield();
@@ -77,6 +78,10 @@ bool WorkerPool::work_on_task(int rank) {
 
 void WorkerPool::work(int rank) {
   for (std::uint32_t asleep = 0;;) {
+    // The steps of an iteration follow each other sooner than a thread wakes.
+    for (Backoff backoff; backoff.is_spinning() && round_.load(std::memory_order_relaxed) == asleep;
+         backoff.pause()) {
+    }
     round_.wait(asleep, std::memory_order_acquire);
     std::uint32_t round = round_.load(std::memory_order_acquire);
     for (Backoff backoff; round % 2 == 1; round = round_.load(std::memory_order_acquire)) {

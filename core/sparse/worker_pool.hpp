@@ -1,6 +1,7 @@
 // Threads that share the steps of a computation.
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <cstdint>
 #include <thread>
@@ -20,11 +21,16 @@ class WorkerPool {
 
   int threads() const { return static_cast<int>(workers_.size()) + 1; }
 
-  // Keeps the workers awake while it lives.
+  // Keeps the workers awake while it lives. Without one they sleep, and the caller does all tasks.
+  // Within another one it does nothing.
   class Session {
    public:
-    explicit Session(WorkerPool& pool) : pool_(pool) { pool_.advance_round(); }
-    ~Session() { pool_.advance_round(); }
+    explicit Session(WorkerPool& pool) : pool_(pool) {
+      if (pool_.sessions_++ == 0) pool_.advance_round();
+    }
+    ~Session() {
+      if (--pool_.sessions_ == 0) pool_.advance_round();
+    }
     Session(const Session&) = delete;
     Session& operator=(const Session&) = delete;
 
@@ -47,6 +53,13 @@ class WorkerPool {
         &f);
   }
 
+  // Calls f(begin, end) for chunks of `size` indices below `count`, the last of them shorter.
+  template <class F>
+  void for_chunks(std::int64_t count, std::int64_t size, F&& f) {
+    for_each(static_cast<std::int32_t>((count + size - 1) / size),
+             [&](std::int32_t i, int) { f(i * size, std::min((i + 1) * size, count)); });
+  }
+
  private:
   using Function = void (*)(void* context, std::int32_t index, int rank);
   void share(std::int32_t count, Function function, void* context);
@@ -55,6 +68,7 @@ class WorkerPool {
   void advance_round();
 
   std::vector<std::thread> workers_;
+  int sessions_ = 0;                     // of the calling thread
   std::atomic<std::uint32_t> round_{0};  // odd during a session and after the end
   std::atomic<bool> stop_{false};
   // The current step. The upper half of the ticket is its number, the lower half the count of tasks

@@ -91,7 +91,7 @@ def solve(
     relative_tolerance : float
         The optimizer stops when chi2 falls by a smaller fraction of itself.
     threads : int, optional
-        Threads that factorize. The numbers do not depend on it. Default: as many as pay for this
+        Threads that compute. The numbers do not depend on it. Default: as many as pay for this
         graph on this machine.
     seed : int
         Seed of the random noise that the search adds when it raises a rank.

@@ -179,7 +179,7 @@ def threads(command: F) -> F:
     return click.option(
         "--threads",
         type=click.IntRange(min=1, max=1024),
-        help="Threads that factorize; the numbers do not depend on it.  "
+        help="Threads that compute; the numbers do not depend on it.  "
         "[default: as many as pay for this graph]",
     )(command)
 

@@ -118,7 +118,7 @@ def certify(
     seed : int
         Seed of the random noise that is added when a rank is raised.
     threads : int, optional
-        Threads that factorize; see `masat.optimize`.
+        Threads that compute; see `masat.optimize`.
     progress : Progress, optional
         What reports the stages and limits the time.
     equations : NormalEquations, optional

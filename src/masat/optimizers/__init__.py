@@ -121,7 +121,7 @@ def optimize(
     gradient_tolerance : float
         Stop when no component of the gradient of chi2 is larger (chi2 per meter or radian).
     threads : int, optional
-        Threads that factorize. The numbers do not depend on it. Default: as many as pay for this
+        Threads that compute. The numbers do not depend on it. Default: as many as pay for this
         graph on this machine.
     report : callable, optional
         Called with the `Iteration` after each; returning True stops.

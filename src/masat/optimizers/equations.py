@@ -13,8 +13,8 @@ from masat.errors import OptimizationError
 from masat.graph import PoseGraph
 
 _EPSILON = float(np.finfo(np.float64).eps)
-# Operations of one factorization above which a second thread pays, and the most threads that do:
-# the top of the elimination tree does not occupy more.
+# Operations of one factorization above which a second thread pays for an iteration, and the most
+# threads that do: the top of the elimination tree does not occupy more.
 _MIN_PARALLEL_OPERATIONS, _MAX_THREADS = 3e7, 8
 _MAX_GIVEN_THREADS = 1024
 
@@ -64,7 +64,10 @@ def normal_equations(graph: PoseGraph, threads: int | None = None) -> _core.Norm
 
 
 def worthwhile_threads(graph: PoseGraph) -> int:
-    """Return how many threads pay for the factorizations of a graph on this machine."""
+    """Return how many threads pay for the iterations of a graph on this machine.
+
+    All parts of an iteration use as many.
+    """
     if graph.elimination.operations(graph.dof) < _MIN_PARALLEL_OPERATIONS:
         return 1
     return max(1, min(_MAX_THREADS, _available_cores()))

@@ -29,7 +29,7 @@ class Closures:
     trusted : array_like of bool, (m,), optional
         The edges to trust. Default: odometry, the first edge of each pair of consecutive ids.
     threads : int, optional
-        Threads that factorize. Default: as many as pay.
+        Threads that compute. Default: as many as pay.
 
     Raises
     ------

@@ -81,7 +81,7 @@ def judge(
     initialize : callable
         From the graph of all full edges to one with poses.
     threads : int, optional
-        Threads that factorize.
+        Threads that compute.
     progress : Progress, optional
         What limits the time.
 

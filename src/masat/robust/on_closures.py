@@ -71,7 +71,7 @@ def decide_on_closures(
     believed : ndarray of bool, (m,), optional
         Edges that an earlier decision believed: the map begins with them, and may reject them.
     threads : int, optional
-        Threads that factorize. The decision does not depend on it. Default: as many as pay.
+        Threads that compute. The decision does not depend on it. Default: as many as pay.
     progress : Progress, optional
         What reports the stages and limits the time.
 
