@@ -213,6 +213,21 @@ def test_bearings_wait_until_they_cross():
     np.testing.assert_allclose(world.point(9), at, atol=1e-6)
 
 
+def test_a_landmark_is_placed_by_the_part_that_determines_it():
+    world = OnlineMap(2, tolerance=0)
+    for first in (0, 10):
+        for k in range(2):
+            world.add_pose(first + k)
+            if k:
+                world.add_edges((first, first + k), (1, 0, 0), 100 * np.eye(3))
+    # The first part drives toward the landmark; from the second, the bearings cross at (1, 1).
+    seen = [(0, 9), (1, 9), (10, 9), (11, 9)]
+    bearings = [0, 0, np.pi / 4, np.pi / 2]
+    world.add_observations(masat.range_bearing(seen, bearings=bearings, sigma_bearing=0.01))
+    world.update()
+    np.testing.assert_allclose(world.point(9), world.pose(10)[:2] + 1, atol=1e-6)
+
+
 def test_a_landmark_of_which_nothing_is_left_has_no_position():
     world = corridor()
     bearing = masat.range_bearing([(0, 9)], bearings=[0.1], sigma_bearing=0.01)

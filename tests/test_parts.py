@@ -1,3 +1,4 @@
+import gc
 import os
 
 import numpy as np
@@ -9,8 +10,10 @@ from masat import PartitionError, PoseGraph, lie
 from masat.optimizers.damped import LocalSystem
 from masat.optimizers.equations import normal_equations
 from masat.parts import tasks
+from masat.parts.checkpoints import GIVEN, read_poses, write_poses
+from masat.parts.elimination import PieceSystem
 from masat.parts.engines import InTurn
-from masat.parts.pieces import read_separators
+from masat.parts.pieces import read_piece, read_separators
 from masat.parts.system import PartSystem
 from masat.worlds import city, manhattan, perturb, sphere
 
@@ -161,6 +164,40 @@ def test_an_interrupted_solve_goes_on(tmp_path):
     assert made.solve("gn", restart=True).iterations == whole.iterations
     # Only the poses of the graph and the latest ones are kept.
     assert len([f for f in (tmp_path / "parts/state").iterdir() if f.is_dir()]) <= 3
+
+
+def test_an_interrupted_linearization_leaves_nothing_half_known(tmp_path, monkeypatch):
+    made = masat.partition(CITY, tmp_path / "parts", 4)
+    engine = InTurn(made.folder, made.index)
+    file = engine.files()[0]
+    linearize = PieceSystem.linearize
+    before = tasks.linearize(file, GIVEN)
+
+    def stop(self, poses):
+        linearize(self, poses + 0.1)
+        raise KeyboardInterrupt
+
+    piece = read_piece(made.folder / file.name, file.graph_hash, file.file_hash)
+    poses = read_poses(file.folder, GIVEN, file.name, piece)
+    write_poses(file.folder, "other", file.name, poses + 0.1)
+    monkeypatch.setattr(PieceSystem, "linearize", stop)
+    with pytest.raises(KeyboardInterrupt):
+        tasks.linearize(file, "other")
+    monkeypatch.undo()
+    message = tasks.eliminate(file, tasks.Elimination(GIVEN, 0.0, 0.0, None), [])
+    engine.release()
+    fresh = tasks.eliminate(file, tasks.Elimination(GIVEN, 0.0, 0.0, None), [])
+    engine.release()
+    assert np.array_equal(message.block, fresh.block)
+    assert np.array_equal(message.rhs, fresh.rhs)
+    assert before.chi2 == tasks.linearize(file, GIVEN).chi2
+    engine.release()
+
+
+def test_a_solve_leaves_no_factors_in_memory(tmp_path):
+    masat.partition(CITY, tmp_path / "parts", 4).solve()
+    gc.collect()
+    assert not [one for one in gc.get_objects() if isinstance(one, PieceSystem)]
 
 
 @pytest.mark.filterwarnings("ignore")

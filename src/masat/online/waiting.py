@@ -192,25 +192,26 @@ class Waiting:
 
         Returns which rows are observations of these from that part.
         """
-        out, tried = np.zeros(len(rows), np.bool_), []
+        out, open_points = np.zeros(len(rows), np.bool_), dict[int, list[Flags]]()
         for point, part in np.unique(np.stack([points, parts], 1)[open_], axis=0).tolist():
             mine = open_ & (points == point) & (parts == part)
             count = int(np.count_nonzero(mine))
             if count > 1 and count >= _GROWTH * self._tried.get((point, part), 0):
                 self._tried[point, part] = count
-                tried.append((point, mine))
-        # All are found at the same time; of one that two parts see, that of the first part.
-        first = dict(reversed(tried))
-        if not first:
-            return out
-        every = np.logical_or.reduce(list(first.values()))
-        poses = core.poses()[seen_from[every]]
-        positions, determined = positions_of_landmarks(rows[every], poses)
-        at = np.searchsorted(np.unique(rows["node"][every]), core.ids()[list(first)])
-        for k, mine in zip(at.tolist(), first.values(), strict=True):
-            if determined[k]:
-                core.place_point(int(points[mine][0]), as_poses(positions[k : k + 1])[0])
-                out |= mine
+                open_points.setdefault(point, []).append(mine)
+        # All landmarks at the same time, each from one part after the other.
+        while open_points:
+            tried = {point: masks.pop(0) for point, masks in open_points.items()}
+            every = np.logical_or.reduce(list(tried.values()))
+            poses = core.poses()[seen_from[every]]
+            positions, determined = positions_of_landmarks(rows[every], poses)
+            at = np.searchsorted(np.unique(rows["node"][every]), core.ids()[list(tried)])
+            for k, (point, mine) in zip(at.tolist(), tried.items(), strict=True):
+                if determined[k]:
+                    core.place_point(point, as_poses(positions[k : k + 1])[0])
+                    out |= mine
+                if determined[k] or not open_points[point]:
+                    del open_points[point]
         return out
 
     def _tied(

@@ -306,21 +306,15 @@ def optimize_assembly(
 
 
 def _message(graph: PoseGraph, outcome: Outcome, iterations: int, weights: Floats | None) -> str:
-    reason = outcome.reason
-    said = f"{reason.value} after {iterations} iteration{'' if iterations == 1 else 's'}"
-    if reason is StopReason.SINGULAR and outcome.singular_node is not None:
+    advice = None
+    if outcome.reason is StopReason.SINGULAR and outcome.singular_node is not None:
         node = outcome.singular_node
         touching = (graph.edge_indices == node).any(axis=1)
         if weights is not None and not weights[touching].any():
-            return (
-                f"{said}: the loss gives no weight to the edges around node {graph.ids[node]}; "
+            advice = (
+                f"the loss gives no weight to the edges around node {graph.ids[node]}; "
                 "trust odometry, or take a larger scale or another initial guess"
             )
-        return f"{said}: {why_singular(graph, node)}"
-    if reason is StopReason.DIVERGED:
-        return f"{said}: try Levenberg-Marquardt or another initial guess"
-    if reason is StopReason.MAX_ITERATIONS:
-        return f"{said}: raise the limit, or try another initial guess"
-    if reason is StopReason.STALLED:
-        return f"{said}: the poses are as good as rounding allows, or far from any minimum"
-    return said
+        else:
+            advice = why_singular(graph, node)
+    return outcome.reason.said(iterations, advice)

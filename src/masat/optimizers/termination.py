@@ -31,6 +31,20 @@ class StopReason(enum.Enum):
         """Whether the poses are a (local) minimum."""
         return self in _CONVERGED
 
+    def said(self, iterations: int, advice: str | None = None) -> str:
+        """Return the reason in a sentence, with what to do about it.
+
+        Parameters
+        ----------
+        iterations : int
+            After how many iterations.
+        advice : str, optional
+            What to do. Default: what helps whatever the graph is.
+        """
+        said = f"{self.value} after {iterations} iteration{'' if iterations == 1 else 's'}"
+        advice = _ADVICE.get(self) if advice is None else advice
+        return said if advice is None else f"{said}: {advice}"
+
 
 _CONVERGED = {
     StopReason.RELATIVE_CHANGE,
@@ -38,6 +52,12 @@ _CONVERGED = {
     StopReason.ROUNDING,
     StopReason.GRADIENT,
     StopReason.NOTHING_TO_DO,
+}
+
+_ADVICE = {
+    StopReason.DIVERGED: "try Levenberg-Marquardt or another initial guess",
+    StopReason.MAX_ITERATIONS: "raise the limit, or try another initial guess",
+    StopReason.STALLED: "the poses are as good as rounding allows, or far from any minimum",
 }
 
 

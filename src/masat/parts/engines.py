@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from masat.errors import PartitionError
 from masat.parts.cost import homes
 from masat.parts.index import Index
-from masat.parts.tasks import PieceFile, hold
+from masat.parts.tasks import PieceFile, hold, release
 
 
 class Engine(Protocol):
@@ -24,6 +24,9 @@ class Engine(Protocol):
 
     def files(self) -> list[Any]:
         """Return what stands for the `PieceFile` of each piece."""
+
+    def release(self) -> None:
+        """Free what tasks hold in memory."""
 
 
 class _Deferred:
@@ -65,6 +68,7 @@ class InTurn:
 
     def __init__(self, folder: Path, index: Index, memory: int | None = None) -> None:
         limit = _quarter_of_machine() if memory is None else memory
+        self._folder = _where(folder)
         self._files = _files_of(folder, index, limit)
 
     def files(self) -> list[PieceFile]:
@@ -78,6 +82,10 @@ class InTurn:
     def gather(self, results: Iterable[Any]) -> list[Any]:
         """Run tasks, those before them first, and return their results."""
         return [_known(result) for result in results]
+
+    def release(self) -> None:
+        """Free the systems of this process."""
+        release(self._folder)
 
 
 class OnCluster:
@@ -142,16 +150,25 @@ class OnCluster:
             self._client.sync(self._client.scheduler.set_restrictions, worker=free)
         return self._files
 
+    def release(self) -> None:
+        """Free the systems of all workers that are left."""
+        self._files = None
+        self._client.run(release, _where(self._folder), on_error="ignore")
+
     def _workers(self) -> list[str]:
         return sorted(self._client.scheduler_info(n_workers=-1)["workers"])
 
 
 def _files_of(folder: Path, index: Index, limit: int) -> list[PieceFile]:
-    where = str(folder.resolve())
+    where = _where(folder)
     return [
         PieceFile(where, entry.file, index.graph, entry.hash, entry.memory, limit)
         for entry in index.pieces
     ]
+
+
+def _where(folder: Path) -> str:
+    return str(folder.resolve())
 
 
 def _quarter_of_machine() -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -127,53 +128,66 @@ class Partition:
         return table(self.index)
 
     def poses(self) -> tuple[Ids, Floats]:
-        """Return the ids and the poses of the lowest chi2 so far: (n,), and (n, 3) or (n, 7).
+        """Return the ids, ascending, and the poses of the lowest chi2 so far.
 
-        Without a solve, those of the graph.
+        Without a solve, the poses are those of the graph. Nodes without an edge are left out.
+
+        Returns
+        -------
+        ids : ndarray of int64, (n,)
+        poses : ndarray of float64, (n, 3) or (n, 7)
+            Meters and radians, as of `PoseGraph.poses`.
         """
-        ids, poses = [], []
-        for piece, at in self._pieces():
-            ids.append(piece.ids[: piece.own])
-            poses.append(at[: piece.own])
-            ids.append(piece.ids[piece.own + piece.boundary :])
-            poses.append(piece.fixed_poses)
-        # A fixed node is in several pieces.
-        every, first = np.unique(np.concatenate(ids), return_index=True)
-        return every, np.concatenate(poses)[first]
+        ids, poses = zip(*(_posed(piece, at) for piece, at in self._pieces()), strict=True)
+        return _once(ids, poses)
 
     def graph(self) -> PoseGraph:
         """Return the whole graph at the poses of the lowest chi2 so far, in this process' memory.
 
         Nodes without an edge are not part of it.
         """
-        ids, poses = self.poses()
-        rows, edges, measurements, information, gauge = [], [], [], [], []
-        for piece, _ in self._pieces():
+        ids, poses, rows, edges, measurements, information, gauge = [], [], [], [], [], [], []
+        for piece, at in self._pieces():
+            posed, where = _posed(piece, at)
+            ids.append(posed)
+            poses.append(where)
             rows.append(piece.rows)
             edges.append(piece.ids[piece.edges])
             measurements.append(piece.measurements)
             information.append(piece.information)
             gauge.append(piece.ids[piece.own + piece.boundary :])
         order = np.argsort(np.concatenate(rows))
+        every, at = _once(ids, poses)
         return PoseGraph.from_arrays(
             np.concatenate(edges)[order],
             np.concatenate(measurements)[order],
             np.concatenate(information)[order],
-            ids=ids,
-            poses=poses,
+            ids=every,
+            poses=at,
             fixed=np.unique(np.concatenate(gauge)),
         )
 
-    def _pieces(self) -> list[tuple[Piece, Floats]]:
+    def _pieces(self) -> Iterator[tuple[Piece, Floats]]:
         checkpoint = self.status()
         if checkpoint is None and not self.index.with_poses:
             raise PartitionError(f"{self.folder}: has no poses yet: solve it first")
         name = GIVEN if checkpoint is None else checkpoint.poses
-        found = []
         for entry in self.index.pieces:
             piece = read_piece(self.folder / entry.file, self.index.graph, entry.hash)
-            found.append((piece, read_poses(str(self.folder), name, entry.file, piece)))
-        return found
+            yield piece, read_poses(str(self.folder), name, entry.file, piece)
+
+
+def _posed(piece: Piece, poses: Floats) -> tuple[Ids, Floats]:
+    """Return the ids and poses of the own and the fixed nodes of a piece."""
+    fixed = piece.ids[piece.own + piece.boundary :]
+    ids = np.concatenate([piece.ids[: piece.own], fixed])
+    return ids, np.concatenate([poses[: piece.own], piece.fixed_poses])
+
+
+def _once(ids: Sequence[Ids], poses: Sequence[Floats]) -> tuple[Ids, Floats]:
+    """Return each node once: a fixed one is in several pieces."""
+    every, first = np.unique(np.concatenate(ids), return_index=True)
+    return every, np.concatenate(poses)[first]
 
 
 def partition(

@@ -11,6 +11,7 @@ from typing import Any
 
 from masat.arrays import Ids
 from masat.errors import OptimizationError, PartitionError
+from masat.optimizers import SHORT_NAMES
 from masat.optimizers.gauss_newton import gauss_newton
 from masat.optimizers.levenberg_marquardt import levenberg_marquardt
 from masat.optimizers.termination import Iteration, Outcome, Report, StopReason, Termination
@@ -25,7 +26,6 @@ METHODS = {
     "levenberg_marquardt": levenberg_marquardt,
     "gauss_newton": gauss_newton,
 }
-_SHORT_NAMES = {"gn": "gauss_newton", "lm": "levenberg_marquardt"}
 
 
 @dataclass(frozen=True, repr=False)
@@ -92,19 +92,47 @@ def solve_partition(
     report: Report | None,
 ) -> PartitionResult:
     """Solve a partition; parameters as of `Partition.solve`."""
-    full = _SHORT_NAMES.get(method, method)
+    full = SHORT_NAMES.get(method, method)
     if full not in METHODS:
         raise OptimizationError(
             f"unknown optimizer {method!r} of a partition; known: {', '.join(METHODS)}, "
-            f"{', '.join(_SHORT_NAMES)}"
+            f"{', '.join(SHORT_NAMES)}"
         )
     if max_iterations < 0 or relative_tolerance < 0:
         raise OptimizationError("iteration limit and tolerances must not be negative")
-    begin = perf_counter()
-    separators = [read_separators(folder / e.file, index.graph) for e in index.pieces]
     engine: Engine = (
         InTurn(folder, index, memory) if client is None else OnCluster(client, folder, index)
     )
+    try:
+        return _solve(
+            folder,
+            index,
+            engine,
+            method=full,
+            init=init,
+            restart=restart,
+            max_iterations=max_iterations,
+            relative_tolerance=relative_tolerance,
+            report=report,
+        )
+    finally:
+        engine.release()
+
+
+def _solve(
+    folder: Path,
+    index: Index,
+    engine: Engine,
+    *,
+    method: str,
+    init: str | None,
+    restart: bool,
+    max_iterations: int,
+    relative_tolerance: float,
+    report: Report | None,
+) -> PartitionResult:
+    begin = perf_counter()
+    separators = [read_separators(folder / e.file, index.graph) for e in index.pieces]
     checkpoint = None if restart else read_checkpoint(folder, index.graph)
     if checkpoint is None:
         init, poses = _initial_poses(index, separators, engine, init)
@@ -121,7 +149,7 @@ def solve_partition(
     def save(reason: StopReason | None) -> None:
         Checkpoint(
             graph=index.graph,
-            method=full,
+            method=method,
             init=init,
             poses=system.best,
             initial_chi2=initial,
@@ -141,13 +169,13 @@ def solve_partition(
     if chi2 <= limits.rounding:
         outcome = Outcome(poses, chi2, StopReason.ROUNDING)
     else:
-        outcome = METHODS[full](system, poses, limits, keep)
+        outcome = METHODS[method](system, poses, limits, keep)
     reason = outcome.reason
     if reason is StopReason.MAX_ITERATIONS and len(history) > before and history[-1].chi2 > chi2:
         reason = StopReason.DIVERGED
     save(reason)
     return PartitionResult(
-        method=full,
+        method=method,
         init=init,
         reason=reason,
         message=_message(reason, outcome.singular_node, len(history)),
@@ -180,16 +208,12 @@ def _initial_poses(
 
 
 def _message(reason: StopReason, node: int | None, iterations: int) -> str:
-    said = f"{reason.value} after {iterations} iteration{'' if iterations == 1 else 's'}"
+    advice = None
     if reason is StopReason.SINGULAR and node is not None:
-        return (
-            f"{said}: the edges around node {node} do not determine its pose; take another "
+        advice = (
+            f"the edges around node {node} do not determine its pose; take another "
             "initial guess, or else Levenberg-Marquardt"
         )
-    if reason is StopReason.DIVERGED:
-        return f"{said}: try Levenberg-Marquardt or another initial guess"
     if reason is StopReason.MAX_ITERATIONS:
-        return f"{said}: solve again to go on, or try another initial guess"
-    if reason is StopReason.STALLED:
-        return f"{said}: the poses are as good as rounding allows, or far from any minimum"
-    return said
+        advice = "solve again to go on, or try another initial guess"
+    return reason.said(iterations, advice)

@@ -109,6 +109,11 @@ class _Workspaces:
         with self._lock:
             return self._held.setdefault(key, made)
 
+    def release(self, folder: str) -> None:
+        with self._lock:
+            for key in [key for key in self._held if key[0] == folder]:
+                del self._held[key]
+
     def _memory(self) -> int:
         return sum(one.file.memory for one in self._held.values())
 
@@ -120,6 +125,11 @@ def hold(file: PieceFile) -> PieceFile:
     """Set up the system of a piece, and return what other tasks find it by."""
     _WORKSPACES.of(file)
     return file
+
+
+def release(folder: str) -> None:
+    """Free the systems of the pieces of a folder."""
+    _WORKSPACES.release(folder)
 
 
 def linearize(file: PieceFile, poses: str, after: object = None) -> Linearization:
