@@ -70,9 +70,15 @@ def remove(count: int) -> None:
     for k in chosen:
         world.add_edges(graph.edges[k], graph.measurements[k], graph.information[k])
         world.update()
-    moved = np.abs(lie.local(before, world.poses)).max()
-    print(f"{count} edges removed and added: poses differ by {moved:.1e}, chi2 by", end=" ")
-    print(f"{abs(world.chi2 / chi2 - 1):.1e}")
+
+    def print_difference(what: str) -> None:
+        moved = np.abs(lie.local(before, world.poses)).max()
+        change = abs(world.chi2 / chi2 - 1)
+        print(f"{what}: poses differ by {moved:.1e}, chi2 by {change:.1e}", flush=True)
+
+    print_difference(f"{count} edges removed and added")
+    world.optimize()
+    print_difference("after optimize()")
 
 
 def main() -> None:

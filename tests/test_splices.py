@@ -8,7 +8,7 @@ from test_search import CHAIN, search_of, two_rings
 import masat
 from masat import lie
 from masat.optimality import best
-from masat.optimality.splices import differing_parts, spliced
+from masat.optimality.splices import OtherMinimum, spliced
 from masat.optimality.subgraphs import subgraph
 from masat.worlds import WORLDS, perturb
 
@@ -16,13 +16,19 @@ from masat.worlds import WORLDS, perturb
 def test_two_minima_differ_where_only_one_of_them_is_twisted():
     graph = two_rings(second_twisted=False)
     other = two_rings(first_twisted=False)
-    parts = list(differing_parts(graph, graph.poses, other.poses))
+    minimum = OtherMinimum(other.poses)
+    parts = list(minimum.parts(graph, graph.poses))
     first = [part for part in parts if part[:12].any()]
     second = [part for part in parts if part[12 + CHAIN :].any()]
     assert len(first) == len(second) == 1
     # Two edges around are free, the middle of the chain is not.
     assert not (first[0] | second[0])[12 + 4 : 12 + CHAIN - 4].any()
-    assert list(differing_parts(graph, graph.poses, graph.poses)) == []
+    assert list(OtherMinimum(graph.poses).parts(graph, graph.poses)) == []
+    # What was refused is not tried again until it is elsewhere.
+    minimum.refuse(first[0], graph.poses)
+    assert not any(np.array_equal(p, first[0]) for p in minimum.parts(graph, graph.poses))
+    turned = lie.compose(np.array([0, 0, 0.1]), graph.poses)
+    assert any(np.array_equal(p, first[0]) for p in minimum.parts(graph, turned))
 
 
 def test_minima_that_are_each_wrong_in_another_part_make_a_right_one():

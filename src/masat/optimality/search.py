@@ -22,7 +22,7 @@ from masat.optimality.cycles import (
     shifted,
 )
 from masat.optimality.relaxation import Relaxation, lift
-from masat.optimality.splices import differing_parts, spliced
+from masat.optimality.splices import OtherMinimum, same_poses, spliced
 from masat.optimality.strings import Strings
 from masat.optimality.subgraphs import (
     Subgraph,
@@ -49,8 +49,6 @@ _NEARLY = 5.0
 # Iterations of a trial after a shift, after a lift, and with all nodes free. A trial ends where the
 # steps that are left, if they were all like the last one, would not lower chi2 enough.
 _SHIFT_ITERATIONS, _LIFT_ITERATIONS, _FREE_ITERATIONS = 30, 50, 50
-# Radians and meters: residuals and coordinates that changed by less are the same as before.
-_SAME_POSE = 0.01
 # A residual that changed by a smaller fraction of itself is the same as before.
 _SAME_RESIDUAL = 0.02
 # Cycles tried at the most: the first divided by the number of nodes, but at least the second.
@@ -152,7 +150,7 @@ class _Search:
             raise OptimizationError("the graph has no poses: there is no minimum to begin at")
         self.poses = graph.poses
         # Poses at other minima, whose parts are tried after each round.
-        self.others: Sequence[Floats] = ()
+        self.others: Sequence[OtherMinimum] = ()
         self._graph = graph
         self._seed = seed
         self._progress = progress
@@ -294,25 +292,26 @@ class _Search:
             for poses in minima:
                 self.poses = poses
                 self.converge()
-                self.at_differences([other for other in minima if other is not poses])
+                self.at_differences([OtherMinimum(o) for o in minima if o is not poses])
                 self.converge()
                 ends.append((self.chi2, self.poses))
         finally:
             ends.sort(key=lambda end: end[0])
             self.chi2, self.poses = ends[0]
         self.others = [
-            poses
+            OtherMinimum(poses)
             for (lower, _), (chi2, poses) in pairwise(ends)
             if chi2 > lower * (1 + _SAME_MINIMUM)
         ]
 
-    def at_differences(self, others: Sequence[Floats]) -> bool:
+    def at_differences(self, others: Sequence[OtherMinimum]) -> bool:
         """Take the parts of other minima that lower chi2; return whether there are any."""
         first = self.chi2
         for other in others:
             self._progress.tell("taking the better parts of two minima", self.chi2)
-            for part in differing_parts(self._graph, self.poses, other):
-                self._try(part, partial(self._splice, other))
+            for part in other.parts(self._graph, self.poses):
+                if not self._try(part, partial(self._splice, other.poses)):
+                    other.refuse(part, self.poses)
         return self.chi2 < first * (1 - LOWER)
 
     def at_all_nodes(self, always: bool) -> bool:
@@ -402,7 +401,7 @@ class _Search:
         indices = part.graph.ids[part.inside]
         poses = before.copy()
         poses[indices] = result.poses[part.inside]
-        if np.abs(lie.local(before[indices], poses[indices])).max() < _SAME_POSE:
+        if same_poses(before[indices], poses[indices]):
             return False
         self._put_back(poses, nodes)
         chi2 = self.chi2 + result.chi2 - part.graph.chi2

@@ -19,30 +19,65 @@ _DIFFERENT = (0.6, 0.3, 0.15)
 _REACH = 2
 
 
-def differing_parts(graph: PoseGraph, poses: Floats, other: Floats) -> Iterator[Flags]:
-    """Yield sets of nodes, (n,) each, in which two minima of a graph differ, the large ones last.
+# Radians and meters: poses that changed by less are the same as before.
+_SAME_POSE = 0.01
+
+
+class OtherMinimum:
+    """Another minimum, and which parts of it are known not to lower chi2.
 
     Parameters
     ----------
-    graph : PoseGraph
-        The graph.
-    poses, other : ndarray, (n, 3) or (n, 7)
-        The minima.
+    poses : ndarray, (n, 3) or (n, 7)
+        The poses there.
     """
-    i, j = graph.edge_indices.T
-    steps = lie.local(lie.between(poses[i], poses[j]), lie.between(other[i], other[j]))
-    apart = np.sqrt(np.square(steps[:, graph.dimension :]).sum(axis=1))
-    if graph.dimension == 3:
-        apart = 2 * np.arcsin(np.minimum(apart, 1.0))
-    seen: set[bytes] = set()
-    for limit in _DIFFERENT:
-        nodes = np.zeros(len(poses), np.bool_)
-        nodes[graph.edge_indices[apart > limit]] = True
-        for part in connected_parts(graph, neighborhood(graph, nodes, _REACH)):
-            key = np.packbits(part).tobytes()
-            if key not in seen:
-                seen.add(key)
-                yield part
+
+    def __init__(self, poses: Floats) -> None:
+        self.poses = poses
+        self._refused: dict[bytes, Floats] = {}
+
+    def parts(self, graph: PoseGraph, poses: Floats) -> Iterator[Flags]:
+        """Yield sets of nodes, (n,) each, in which two minima differ, the large ones last.
+
+        A set is left out if it was refused and its nodes are where they were then.
+
+        Parameters
+        ----------
+        graph : PoseGraph
+            The graph.
+        poses : ndarray, (n, 3) or (n, 7)
+            The minimum whose parts may be replaced.
+        """
+        i, j = graph.edge_indices.T
+        other = self.poses
+        steps = lie.local(lie.between(poses[i], poses[j]), lie.between(other[i], other[j]))
+        apart = np.sqrt(np.square(steps[:, graph.dimension :]).sum(axis=1))
+        if graph.dimension == 3:
+            apart = 2 * np.arcsin(np.minimum(apart, 1.0))
+        seen: set[bytes] = set()
+        for limit in _DIFFERENT:
+            nodes = np.zeros(len(poses), np.bool_)
+            nodes[graph.edge_indices[apart > limit]] = True
+            for part in connected_parts(graph, neighborhood(graph, nodes, _REACH)):
+                key = _key(part)
+                refused = self._refused.get(key)
+                same = refused is not None and same_poses(refused, poses[part])
+                if key not in seen and not same:
+                    seen.add(key)
+                    yield part
+
+    def refuse(self, part: Flags, poses: Floats) -> None:
+        """Remember that a part did not lower chi2 at these poses of all nodes."""
+        self._refused[_key(part)] = poses[part]
+
+
+def same_poses(some: Floats, others: Floats) -> bool:
+    """Return whether poses are the same but for what optimizers leave and rounding makes."""
+    return bool(np.abs(lie.local(some, others)).max() < _SAME_POSE)
+
+
+def _key(part: Flags) -> bytes:
+    return np.packbits(part).tobytes()
 
 
 def spliced(part: Subgraph, other: Floats) -> Floats:
