@@ -21,6 +21,7 @@ import masat
 from benchmarks.graphs import CASES, Case, quietly_read
 from benchmarks.threads import single_threaded
 from masat.arrays import Floats, Ids
+from masat.online.growing import TOLERANCE
 
 GRAPHS = (
     "M3500",
@@ -236,7 +237,7 @@ def main() -> None:
         "--sample", type=int, default=50, help="steps between samples of the excess"
     )
     parser.add_argument("--steps", type=int, help="only so many steps")
-    parser.add_argument("--tolerance", type=float, default=1.5e-4)
+    parser.add_argument("--tolerance", type=float, default=TOLERANCE)
     options = parser.parse_args()
     single_threaded()
     print(f"{'':30}{'total s':>9}{'median ms':>9}{'p99':>8}{'max':>8}{'excess':>10}{'max':>9}")
