@@ -71,7 +71,7 @@ def test_bad_usage_is_code_2_and_one_line(arguments, said, tmp_path, monkeypatch
 
 
 def test_a_shipped_design_is_printed_to_start_from(tmp_path):
-    assert call("design").stdout.split() == ["false_closures", "inits", "paper", "quick"]
+    assert call("design").stdout.split() == ["false_closures", "inits", "paper", "quick", "spatial"]
     told = call("design", "quick")
     assert told.returncode == 0
     copy = tmp_path / "quick.toml"
