@@ -44,10 +44,10 @@ class Components {
       if (keep_pose) continue;
       auto& place = graph.place(i);
       if (part_.size() == 1) {
-        place.linearized = place.pose = target;
+        place.linearized = place.pose = normalized(target);
       } else {
-        place.linearized = motion * place.linearized;
-        place.pose = motion * place.pose;
+        place.linearized = normalized(motion * place.linearized);
+        place.pose = normalized(motion * place.pose);
       }
     }
     moved.insert(moved.end(), part_.begin(), part_.end());
@@ -73,6 +73,13 @@ class Components {
   }
 
  private:
+  // A pose after pose: its heading must not grow with each turn, nor its rotation lose its norm.
+  static Group normalized(const Group& pose) {
+    double stored[Group::kSize];
+    pose.store(stored);
+    return Group::load(stored);
+  }
+
   // Sets `part_` to the nodes that are connected to one.
   void collect(const Graph& graph, std::int32_t node) {
     part_.assign(1, node);
