@@ -6,6 +6,7 @@ import pytest
 import masat
 from masat import PoseGraph, lie
 from masat.optimality import search as searching
+from masat.optimality import trials
 from masat.optimality.cycles import LONG, AmbiguousCycles, cut_edges, shifted
 from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
@@ -41,7 +42,7 @@ def chi2(graph, poses):
 
 def shift_cycles(graph, monkeypatch):
     """Return what shifts alone make of a graph."""
-    monkeypatch.setattr(searching, "lift", lambda part, **_: part.poses)
+    monkeypatch.setattr(trials, "lift", lambda part, **_: part.poses)
     search = searching._Search(graph, 0, Progress(), normal_equations(graph))
     return search, search.at_cycles()
 

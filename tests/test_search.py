@@ -120,7 +120,7 @@ def test_what_a_lift_makes_worse_stays(monkeypatch):
         return poses
 
     twisted_again = two_rings().poses
-    monkeypatch.setattr("masat.optimality.search.lift", worse_at_the_second)
+    monkeypatch.setattr("masat.optimality.trials.lift", worse_at_the_second)
     monkeypatch.setattr(
         Relaxation, "uncertified_nodes", lambda *_: np.array([3, 12 + CHAIN + 3], np.int32)
     )
@@ -134,7 +134,7 @@ def test_a_trial_that_ends_where_it_began_is_none():
     search = search_of(graph)
     begun = search.poses
     everything = np.ones(len(graph.ids), np.bool_)
-    assert not search._try(everything, search._lift)
+    assert not search.lowest.attempt(everything, search._lift)
     assert search.poses is begun
 
 
@@ -190,9 +190,9 @@ def test_a_unit_of_chi2_is_one_or_what_the_graph_shows():
         graph = masat.optimize(random_graph(2, 30, 60, seed=1, noise=noise)).graph
         reduced = masat.optimize(graph).reduced_chi2
         search = search_of(graph)
-        assert np.isclose(search._unit, min(1.0, reduced))
+        assert np.isclose(search.lowest.unit, min(1.0, reduced))
     tree = PoseGraph.from_arrays([(0, 1)], np.zeros((1, 3)), poses=np.zeros((2, 3)))
-    assert search_of(tree)._unit == 1.0
+    assert search_of(tree).lowest.unit == 1.0
 
 
 def test_a_part_that_cannot_be_lifted_stays(monkeypatch):
@@ -200,7 +200,7 @@ def test_a_part_that_cannot_be_lifted_stays(monkeypatch):
         raise InitializationError("the edges around node 1 do not determine it")
 
     graph = two_rings()
-    monkeypatch.setattr("masat.optimality.search.lift", impossible)
+    monkeypatch.setattr("masat.optimality.trials.lift", impossible)
     search = search_of(graph)
     before = search.poses
     assert not search.at_uncertified_nodes()

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property, partial
 from itertools import islice, pairwise
 
 import numpy as np
 
-from masat import _core, lie
+from masat import _core
 from masat.arrays import Flags, Floats, Indices
-from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimality.cycles import (
     LONG,
@@ -19,36 +18,29 @@ from masat.optimality.cycles import (
     cut_edges,
     relative_to_mean,
     rotating_nodes,
-    shifted,
 )
-from masat.optimality.relaxation import Relaxation, lift
-from masat.optimality.splices import OtherMinimum, same_poses, spliced
+from masat.optimality.relaxation import Relaxation
+from masat.optimality.splices import OtherMinimum
 from masat.optimality.strings import Strings
-from masat.optimality.subgraphs import (
-    Subgraph,
-    connected_parts,
-    neighborhood,
-    subgraph,
-    without_edges,
+from masat.optimality.subgraphs import Subgraph, connected_parts, neighborhood
+from masat.optimality.trials import (
+    LOWER,
+    NEARLY,
+    LowestMinimum,
+    Trial,
+    lifted,
+    shifted_along,
+    spliced_in,
 )
-from masat.optimizers import Iteration, Result, optimize
+from masat.optimizers import Result, optimize
 from masat.optimizers.equations import normal_equations
-from masat.optimizers.translations import solve_translations
 from masat.progress import Progress
 
-# chi2 that is lower by this fraction belongs to another minimum; near a minimum it changes by less
-# than the second fraction from one iteration to the next.
-LOWER, NEAR = 1e-7, 1e-8
 # Minima whose chi2 differs by a smaller fraction are taken to be the same.
 _SAME_MINIMUM = 1e-6
 # Edges from a node where the certificate fails, from an edge of an ambiguous cycle, and from the
 # nodes that a shift rotates, within which nodes are lifted.
 _NODE_REACH, _EDGE_REACH, _CYCLE_REACH = 6, 3, 3
-# chi2 above the minimum up to which a trial is optimized further with all nodes free.
-_NEARLY = 5.0
-# Iterations of a trial after a shift, after a lift, and with all nodes free. A trial ends where the
-# steps that are left, if they were all like the last one, would not lower chi2 enough.
-_SHIFT_ITERATIONS, _LIFT_ITERATIONS, _FREE_ITERATIONS = 30, 50, 50
 # A residual that changed by a smaller fraction of itself is the same as before.
 _SAME_RESIDUAL = 0.02
 # Cycles tried at the most: the first divided by the number of nodes, but at least the second.
@@ -65,8 +57,6 @@ _SAME_NODES = 0.8
 _MAX_LIFTED_BYTES = 3e8
 # Iterations of Gauss-Newton to the exact minimum, and of the safer and slower dogleg.
 _FINAL_ITERATIONS, _FINAL_DOGLEG_ITERATIONS = 4, 100
-
-Trial = Callable[[Subgraph], Result]
 
 
 def lower_minimum(
@@ -124,7 +114,7 @@ def lower_minimum(
             lower = lower or search.at_uncertified_nodes() or search.at_cycles()
             if progress.over or not (lower or search.at_all_nodes(lift_all)):
                 break
-            search.converge()
+            search.lowest.converge()
     except KeyboardInterrupt:
         progress.interrupt()
     found = graph.with_poses(search.poses)
@@ -146,40 +136,32 @@ class _Search:
         progress: Progress,
         equations: _core.NormalEquations,
     ) -> None:
-        if graph.poses is None:
-            raise OptimizationError("the graph has no poses: there is no minimum to begin at")
-        self.poses = graph.poses
+        self.lowest = LowestMinimum(graph, progress, equations)
         # Poses at other minima, whose parts are tried after each round.
         self.others: Sequence[OtherMinimum] = ()
         self._graph = graph
         self._seed = seed
         self._progress = progress
-        self._equations = equations
-        first = self.converge()
-        # What counts as one in chi2: less where the information promises less than it keeps.
-        self._unit = min(1.0, first.reduced_chi2 or 1.0)
         self._relaxation = Relaxation(graph)
         self._cycles = AmbiguousCycles(graph)
         self._most_rotate = False
         self._lifts_in_vain: list[tuple[float, Flags]] = []
         self._refused: dict[tuple[tuple[int, float], ...], Floats] = {}
         self._cycles_left = max(_MIN_CYCLES, _CYCLE_WORK // len(graph.ids))
-        gauge = graph.index(graph.gauge)
-        labels = graph.components
-        count = np.bincount(labels[gauge], minlength=int(labels.max()) + 1)
-        # The only gauge node of a component may move with the rest, and is put back afterwards.
-        self._movable = gauge[count[labels[gauge]] == 1]
-        self._fixed = gauge[count[labels[gauge]] > 1]
+
+    @property
+    def poses(self) -> Floats:
+        """The poses of the lowest minimum found so far."""
+        return self.lowest.poses
+
+    @property
+    def chi2(self) -> float:
+        """Their chi2."""
+        return self.lowest.chi2
 
     @cached_property
     def _strings(self) -> Strings:
         return Strings(self._graph)
-
-    def converge(self) -> Result:
-        """Go to the minimum."""
-        result = self._minimum(self.poses)
-        self.poses, self.chi2 = result.poses, result.chi2
-        return result
 
     def at_uncertified_nodes(self) -> bool:
         """Lift what is around uncertified nodes; return whether that lowered chi2."""
@@ -192,7 +174,7 @@ class _Search:
         around[graph.index(graph.gauge)] = False
         parts = list(connected_parts(graph, around))
         self._progress.tell(f"searching in {len(parts)} uncertified parts", self.chi2)
-        return sum(self._try(part, self._lift) for part in parts) > 0
+        return sum(self.lowest.attempt(part, self._lift) for part in parts) > 0
 
     def at_cycles(self) -> bool:
         """Shift the ambiguous cycles by 2 pi; return whether that lowered chi2."""
@@ -230,10 +212,10 @@ class _Search:
             cuts = [None, *(cut_edges(shifts[0][0]) if shifts[0][1] == 0 else ())]
             own = np.array([cycle.edge for cycle, _ in shifts])
             by = np.array([2 * np.pi * sign * cycle.axis for cycle, sign in shifts])
-            trials: list[Trial] = [partial(self._shift, own, by, cut) for cut in cuts]
+            trials: list[Trial] = [self._shift(own, by, cut) for cut in cuts]
             if self._graph.dimension == 3 and not self._lifted_in_vain(where):
                 trials.append(self._lift)
-            if any(self._try(where, trial) for trial in trials):
+            if any(self.lowest.attempt(where, trial) for trial in trials):
                 changed |= edges
             else:
                 self._refused[key] = signed
@@ -243,10 +225,10 @@ class _Search:
 
     def _lifted_in_vain(self, nodes: Flags) -> bool:
         """Whether nearly the same nodes were lifted at the same minimum, and chi2 did not fall."""
-        for chi2, lifted in self._lifts_in_vain:
-            both = np.count_nonzero(nodes & lifted)
+        for chi2, there in self._lifts_in_vain:
+            both = np.count_nonzero(nodes & there)
             if self.chi2 >= chi2 * (1 - LOWER) and both > _SAME_NODES * np.count_nonzero(
-                nodes | lifted
+                nodes | there
             ):
                 return True
         return False
@@ -265,10 +247,9 @@ class _Search:
                 ends = np.zeros(len(self.poses), np.bool_)
                 ends[self._graph.edge_indices[string.edges]] = True
                 where = neighborhood(self._graph, ends, _STRING_REACH)
-                trial = partial(self._shift, string.edges, string.vectors, None)
-                if self._try(where, trial, nearly=_NEARLY if failures < _FIRST else 0.0):
-                    near = self._minimum(self.poses, tolerance=_STRING_TOLERANCE)
-                    self.poses, self.chi2 = near.poses, near.chi2
+                trial = self._shift(string.edges, string.vectors, None)
+                if self.lowest.attempt(where, trial, NEARLY if failures < _FIRST else 0.0):
+                    self.lowest.converge(_STRING_TOLERANCE)
                     failures = 0
                     break
                 refused.add(key)
@@ -290,14 +271,14 @@ class _Search:
         ends = [(self.chi2, self.poses)]
         try:
             for poses in minima:
-                self.poses = poses
-                self.converge()
+                self.lowest.poses = poses
+                self.lowest.converge()
                 self.at_differences([OtherMinimum(o) for o in minima if o is not poses])
-                self.converge()
+                self.lowest.converge()
                 ends.append((self.chi2, self.poses))
         finally:
             ends.sort(key=lambda end: end[0])
-            self.chi2, self.poses = ends[0]
+            self.lowest.chi2, self.lowest.poses = ends[0]
         self.others = [
             OtherMinimum(poses)
             for (lower, _), (chi2, poses) in pairwise(ends)
@@ -310,7 +291,8 @@ class _Search:
         for other in others:
             self._progress.tell("taking the better parts of two minima", self.chi2)
             for part in other.parts(self._graph, self.poses):
-                if not self._try(part, partial(self._splice, other.poses)):
+                trial = partial(spliced_in, other=other.poses, nearly=self._nearly)
+                if not self.lowest.attempt(part, trial):
                     other.refuse(part, self.poses)
         return self.chi2 < first * (1 - LOWER)
 
@@ -325,135 +307,29 @@ class _Search:
         self._progress.tell("lifting all nodes", self.chi2)
         nodes = np.ones(len(self.poses), np.bool_)
         nodes[self._graph.index(self._graph.gauge)] = False
-        return self._try(nodes, self._lift)
+        return self.lowest.attempt(nodes, self._lift)
 
     def _relative(self, cycle: Cycle) -> Floats:
         """Return the rotations of a cycle's nodes; few of them if only the gauge is fixed."""
         labels = self._graph.components
         label = labels[self._graph.edge_indices[cycle.edge, 0]]
-        if label in labels[self._movable]:
+        if label in labels[self.lowest.movable]:
             return relative_to_mean(cycle.rotations, labels == label)
         return cycle.rotations
 
+    @property
+    def _nearly(self) -> float:
+        return NEARLY * self.lowest.unit
+
     def _lift(self, part: Subgraph) -> Result:
-        initial = part.graph.with_poses(lift(part.graph, seed=self._seed))
-        low_enough = part.graph.chi2 + _NEARLY * self._unit
-        # Rounded poses lie between minima: one method may end in a lower one than the other.
-        return min(
-            (
-                optimize(
-                    initial,
-                    method,
-                    relative_tolerance=NEAR,
-                    max_iterations=_LIFT_ITERATIONS,
-                    report=_StopIfHopeless(low_enough, _LIFT_ITERATIONS),
-                )
-                for method in ("dogleg", "levenberg_marquardt")
-            ),
-            key=lambda result: result.chi2,
+        return lifted(part, self._seed, self._nearly)
+
+    def _shift(self, edges: Indices, vectors: Floats, cut: int | None) -> Trial:
+        return partial(
+            shifted_along,
+            whole=self._graph,
+            shifted_edges=edges,
+            vectors=vectors,
+            cut=cut,
+            nearly=self._nearly,
         )
-
-    def _splice(self, other: Floats, part: Subgraph) -> Result:
-        return optimize(
-            part.graph.with_poses(spliced(part, other)),
-            "dogleg",
-            relative_tolerance=NEAR,
-            max_iterations=_SHIFT_ITERATIONS,
-            report=_StopIfHopeless(part.graph.chi2 + _NEARLY * self._unit, _SHIFT_ITERATIONS),
-        )
-
-    def _shift(
-        self, shifted_edges: Indices, vectors: Floats, cut: int | None, part: Subgraph
-    ) -> Result:
-        """Spread residuals and shifts anew, the positions first without an edge that is cut."""
-        graph, inside = part
-        nodes = np.zeros(len(self.poses), np.bool_)
-        nodes[graph.ids[inside]] = True
-        edges = self._graph.topology.incident_edges(nodes)
-        by = np.zeros((len(edges), vectors.shape[1]))
-        by[np.searchsorted(edges, shifted_edges)] = vectors
-        turned = shifted(graph, by)
-        loose = graph if cut is None else without_edges(graph, edges == cut)
-        nearly = _NEARLY * self._unit
-        return optimize(
-            graph.with_poses(solve_translations(loose, turned)),
-            "dogleg",
-            max_iterations=_SHIFT_ITERATIONS,
-            absolute_tolerance=nearly / 500,
-            report=_StopIfHopeless(graph.chi2 + nearly, _SHIFT_ITERATIONS),
-        )
-
-    def _try(self, nodes: Flags, trial: Trial, nearly: float = _NEARLY) -> bool:
-        """Keep what a trial makes of some nodes if it lowers chi2; return whether it does."""
-        graph, before = self._graph, self.poses
-        nodes = nodes.copy()
-        nodes[self._fixed] = False
-        if self._progress.over or not nodes.any():
-            return False
-        part = subgraph(graph, before, nodes)
-        try:
-            result = trial(part)
-        except (InitializationError, OptimizationError):
-            # A part may be too badly conditioned for what the whole graph can bear.
-            return False
-        if not np.isfinite(result.chi2):
-            return False
-        indices = part.graph.ids[part.inside]
-        poses = before.copy()
-        poses[indices] = result.poses[part.inside]
-        if same_poses(before[indices], poses[indices]):
-            return False
-        self._put_back(poses, nodes)
-        chi2 = self.chi2 + result.chi2 - part.graph.chi2
-        lower = self.chi2 * (1 - LOWER)
-        if lower <= chi2 < self.chi2 + nearly * self._unit:
-            # Nearly as low: with all nodes free it may become lower.
-            free = self._minimum(poses, _StopIfHopeless(lower, _FREE_ITERATIONS, chi2))
-            poses, chi2 = free.poses, free.chi2
-        if chi2 < lower:
-            self.poses, self.chi2 = poses, chi2
-            return True
-        return False
-
-    def _put_back(self, poses: Floats, moved: Flags) -> None:
-        """Move components whose gauge node a trial has moved so that it is where it was."""
-        labels = self._graph.components
-        for k in self._movable[moved[self._movable]]:
-            own = labels == labels[k]
-            back = lie.compose(self.poses[k], lie.inverse(poses[k]))
-            poses[own] = lie.compose(back, poses[own])
-            poses[k] = self.poses[k]
-
-    def _minimum(
-        self, poses: Floats, report: _StopIfHopeless | None = None, tolerance: float = NEAR
-    ) -> Result:
-        """Return the minimum that an optimizer finds from some poses."""
-        return optimize(
-            self._graph.with_poses(poses),
-            "dogleg",
-            relative_tolerance=tolerance,
-            max_iterations=_FREE_ITERATIONS,
-            report=report,
-            equations=self._equations,
-            progress=self._progress,
-        )
-
-
-class _StopIfHopeless:
-    """Stops an optimizer where the steps that are left would not bring chi2 low enough.
-
-    A step may gain less than it could while the region of trust adapts: half of what was expected
-    before the step counts in its place.
-    """
-
-    def __init__(self, low_enough: float, iterations: int, chi2: float = np.inf) -> None:
-        self._low_enough, self._left, self._last = low_enough, iterations, chi2
-        self._expected = 0.0
-
-    def __call__(self, step: Iteration) -> bool:
-        """Return whether to stop after an iteration."""
-        missing = step.chi2 - self._low_enough
-        gained, self._last = self._last - step.chi2, step.chi2
-        self._expected = max(min(gained, missing), self._expected / 2)
-        self._left -= 1
-        return missing > self._left * self._expected

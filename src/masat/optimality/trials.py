@@ -1,0 +1,247 @@
+"""Trials of lower minima: nodes are moved elsewhere and optimized, and kept if chi2 is lower."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from masat import _core, lie
+from masat.arrays import Flags, Floats, Indices
+from masat.errors import InitializationError, OptimizationError
+from masat.graph import PoseGraph
+from masat.optimality.cycles import shifted
+from masat.optimality.relaxation import lift
+from masat.optimality.splices import same_poses, spliced
+from masat.optimality.subgraphs import Subgraph, subgraph, without_edges
+from masat.optimizers import Iteration, Result, optimize
+from masat.optimizers.translations import solve_translations
+from masat.progress import Progress
+
+# chi2 that is lower by this fraction belongs to another minimum; near a minimum it changes by less
+# than the second fraction from one iteration to the next.
+LOWER, NEAR = 1e-7, 1e-8
+# chi2 above the minimum up to which a trial is optimized further with all nodes free.
+NEARLY = 5.0
+# Iterations of a trial after a shift, after a lift, and with all nodes free. A trial ends where the
+# steps that are left, if they were all like the last one, would not lower chi2 enough.
+_SHIFT_ITERATIONS, _LIFT_ITERATIONS, _FREE_ITERATIONS = 30, 50, 50
+
+Trial = Callable[[Subgraph], Result]
+
+
+class LowestMinimum:
+    """The lowest minimum found so far.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        A graph with poses near a minimum.
+    progress : Progress
+        What limits the time.
+    equations : NormalEquations
+        Those of the graph.
+
+    Attributes
+    ----------
+    poses : ndarray, (n, 3) or (n, 7)
+        The poses there.
+    chi2 : float
+        Their chi2.
+    unit : float
+        What counts as one in chi2: less where the information promises less than it keeps.
+
+    Raises
+    ------
+    OptimizationError
+        If the graph has no poses.
+    """
+
+    def __init__(
+        self, graph: PoseGraph, progress: Progress, equations: _core.NormalEquations
+    ) -> None:
+        if graph.poses is None:
+            raise OptimizationError("the graph has no poses: there is no minimum to begin at")
+        self.poses = graph.poses
+        self._graph, self._progress, self._equations = graph, progress, equations
+        self.unit = min(1.0, self.converge().reduced_chi2 or 1.0)
+        gauge = graph.index(graph.gauge)
+        labels = graph.components
+        count = np.bincount(labels[gauge], minlength=int(labels.max()) + 1)
+        # The only gauge node of a component may move with the rest, and is put back afterwards.
+        self.movable = gauge[count[labels[gauge]] == 1]
+        self._fixed = gauge[count[labels[gauge]] > 1]
+
+    def converge(self, tolerance: float = NEAR) -> Result:
+        """Go to the minimum."""
+        result = self._minimum(self.poses, tolerance=tolerance)
+        self.poses, self.chi2 = result.poses, result.chi2
+        return result
+
+    def attempt(self, nodes: Flags, trial: Trial, nearly: float = NEARLY) -> bool:
+        """Keep what a trial makes of some nodes if it lowers chi2; return whether it does.
+
+        Parameters
+        ----------
+        nodes : ndarray of bool, (n,)
+            The nodes that are free.
+        trial : callable
+            Returns the result of an optimizer on the subgraph of these nodes.
+        nearly : float
+            How many units of chi2 above the minimum are optimized further with all nodes free.
+        """
+        graph, before = self._graph, self.poses
+        nodes = nodes.copy()
+        nodes[self._fixed] = False
+        if self._progress.over or not nodes.any():
+            return False
+        part = subgraph(graph, before, nodes)
+        try:
+            result = trial(part)
+        except (InitializationError, OptimizationError):
+            # A part may be too badly conditioned for what the whole graph can bear.
+            return False
+        if not np.isfinite(result.chi2):
+            return False
+        indices = part.graph.ids[part.inside]
+        poses = before.copy()
+        poses[indices] = result.poses[part.inside]
+        if same_poses(before[indices], poses[indices]):
+            return False
+        self._put_back(poses, nodes)
+        chi2 = self.chi2 + result.chi2 - part.graph.chi2
+        lower = self.chi2 * (1 - LOWER)
+        if lower <= chi2 < self.chi2 + nearly * self.unit:
+            # Nearly as low: with all nodes free it may become lower.
+            free = self._minimum(poses, _StopIfHopeless(lower, _FREE_ITERATIONS, chi2))
+            poses, chi2 = free.poses, free.chi2
+        if chi2 < lower:
+            self.poses, self.chi2 = poses, chi2
+            return True
+        return False
+
+    def _put_back(self, poses: Floats, moved: Flags) -> None:
+        """Move components whose gauge node a trial has moved so that it is where it was."""
+        labels = self._graph.components
+        for k in self.movable[moved[self.movable]]:
+            own = labels == labels[k]
+            back = lie.compose(self.poses[k], lie.inverse(poses[k]))
+            poses[own] = lie.compose(back, poses[own])
+            poses[k] = self.poses[k]
+
+    def _minimum(
+        self, poses: Floats, report: _StopIfHopeless | None = None, tolerance: float = NEAR
+    ) -> Result:
+        """Return the minimum that an optimizer finds from some poses."""
+        return optimize(
+            self._graph.with_poses(poses),
+            "dogleg",
+            relative_tolerance=tolerance,
+            max_iterations=_FREE_ITERATIONS,
+            report=report,
+            equations=self._equations,
+            progress=self._progress,
+        )
+
+
+def lifted(part: Subgraph, seed: int, nearly: float) -> Result:
+    """Lift the free nodes of a part to a higher rank, round them back and optimize them.
+
+    Parameters
+    ----------
+    part : Subgraph
+        The part.
+    seed : int
+        Seed of the random noise that is added when a rank is raised.
+    nearly : float
+        chi2 above that of the part which is as good as its own, here and in the trials below.
+    """
+    initial = part.graph.with_poses(lift(part.graph, seed=seed))
+    low_enough = part.graph.chi2 + nearly
+    # Rounded poses lie between minima: one method may end in a lower one than the other.
+    return min(
+        (
+            optimize(
+                initial,
+                method,
+                relative_tolerance=NEAR,
+                max_iterations=_LIFT_ITERATIONS,
+                report=_StopIfHopeless(low_enough, _LIFT_ITERATIONS),
+            )
+            for method in ("dogleg", "levenberg_marquardt")
+        ),
+        key=lambda result: result.chi2,
+    )
+
+
+def spliced_in(part: Subgraph, other: Floats, nearly: float) -> Result:
+    """Optimize a part from the poses, (n, 3) or (n, 7), of another minimum of the whole graph."""
+    return optimize(
+        part.graph.with_poses(spliced(part, other)),
+        "dogleg",
+        relative_tolerance=NEAR,
+        max_iterations=_SHIFT_ITERATIONS,
+        report=_StopIfHopeless(part.graph.chi2 + nearly, _SHIFT_ITERATIONS),
+    )
+
+
+def shifted_along(
+    part: Subgraph,
+    whole: PoseGraph,
+    shifted_edges: Indices,
+    vectors: Floats,
+    cut: int | None,
+    nearly: float,
+) -> Result:
+    """Spread residuals and shifts anew, the positions first without an edge that is cut.
+
+    Parameters
+    ----------
+    part : Subgraph
+        The part.
+    whole : PoseGraph
+        The graph that it is a part of.
+    shifted_edges : ndarray of int, (k,)
+        Indices of the edges, in the whole graph, whose rotation residuals are shifted.
+    vectors : ndarray, (k, 1) or (k, 3)
+        By how much, as rotation vectors in radians.
+    cut : int, optional
+        Index of the edge that is cut.
+    nearly : float
+        As of `lifted`.
+    """
+    graph, inside = part
+    nodes = np.zeros(len(whole.ids), np.bool_)
+    nodes[graph.ids[inside]] = True
+    edges = whole.topology.incident_edges(nodes)
+    by = np.zeros((len(edges), vectors.shape[1]))
+    by[np.searchsorted(edges, shifted_edges)] = vectors
+    turned = shifted(graph, by)
+    loose = graph if cut is None else without_edges(graph, edges == cut)
+    return optimize(
+        graph.with_poses(solve_translations(loose, turned)),
+        "dogleg",
+        max_iterations=_SHIFT_ITERATIONS,
+        absolute_tolerance=nearly / 500,
+        report=_StopIfHopeless(graph.chi2 + nearly, _SHIFT_ITERATIONS),
+    )
+
+
+class _StopIfHopeless:
+    """Stops an optimizer where the steps that are left would not bring chi2 low enough.
+
+    A step may gain less than it could while the region of trust adapts: half of what was expected
+    before the step counts in its place.
+    """
+
+    def __init__(self, low_enough: float, iterations: int, chi2: float = np.inf) -> None:
+        self._low_enough, self._left, self._last = low_enough, iterations, chi2
+        self._expected = 0.0
+
+    def __call__(self, step: Iteration) -> bool:
+        """Return whether to stop after an iteration."""
+        missing = step.chi2 - self._low_enough
+        gained, self._last = self._last - step.chi2, step.chi2
+        self._expected = max(min(gained, missing), self._expected / 2)
+        self._left -= 1
+        return missing > self._left * self._expected
