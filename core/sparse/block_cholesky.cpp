@@ -117,7 +117,7 @@ std::vector<double> BlockCholesky::contribution() const {
   const Multifrontal& factor = impl_->checked();
   std::vector<double> out;
   if (impl_->layout.tree().boundary == 0) return out;
-  const Front front = factor.front(impl_->layout.fronts() - 1);
+  const Front front = factor.boundary();
   out.reserve(std::size_t{1} * front.pivots * (front.pivots + 1) / 2);
   for (std::int32_t j = 0; j < front.pivots; ++j) {
     const double* const column = front.l11 + j * front.ld11;

@@ -63,7 +63,8 @@ class BlockCholesky {
 
   // Of a matrix with a boundary, instead: its Schur complement as the lower triangle, packed column
   // by column in the order of the boundary; and the two halves of a solution of one right-hand
-  // side, between which that of the boundary is put in.
+  // side, between which that of the boundary is put in. Parts share workspace: the first must be
+  // asked for before this thread factorizes another part, or OverwrittenByOther is thrown.
   std::vector<double> contribution() const;
   void reduce(std::span<double> rhs) const;
   void substitute(std::span<double> rhs) const;

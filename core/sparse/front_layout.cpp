@@ -61,22 +61,21 @@ void FrontLayout::lay_out_entries(const BlockPattern& pattern, const BlockGraph&
   entries_.reserve(pattern.row.size());
   for (std::int32_t f = 0; f < fronts(); ++f) {
     const FrontShape& front = shape_[f];
-    const std::int64_t start = factor_start_[f], below = start + l11_size(f);
+    const std::int64_t below = l11_size(f);
     const std::span<const std::int32_t> rows = tree_.rows(f);
     for (std::size_t i = 0; i < rows.size(); ++i) row_of[rows[i]] = static_cast<std::int32_t>(i);
     for (std::int32_t k = tree_.first[f]; k < tree_.first[f + 1]; ++k) {
       const std::int32_t node = tree_.order[k];
       const std::int64_t pivot = std::int64_t{k - tree_.first[f]} * block_size_;
-      entries_.push_back({start + pivot * (front.ld11 + 1),
-                          static_cast<std::int32_t>(pattern.start[node]), false, false});
+      entries_.push_back(
+          {pivot * (front.ld11 + 1), static_cast<std::int32_t>(pattern.start[node]), false, false});
       for (const BlockGraph::Neighbor& neighbor : graph.neighbors(node)) {
         const std::int32_t row = tree_.index[neighbor.node];
         if (row < k) continue;
         const bool eliminated = row < tree_.first[f + 1];
         const std::int64_t target =
-            eliminated
-                ? start + pivot * front.ld11 + std::int64_t{row - tree_.first[f]} * block_size_
-                : below + pivot * front.ld21 + std::int64_t{row_of[row]} * block_size_;
+            eliminated ? pivot * front.ld11 + std::int64_t{row - tree_.first[f]} * block_size_
+                       : below + pivot * front.ld21 + std::int64_t{row_of[row]} * block_size_;
         entries_.push_back({target, neighbor.entry, !eliminated, neighbor.node < node});
       }
       entry_start_.push_back(static_cast<std::int64_t>(entries_.size()));

@@ -15,7 +15,7 @@ namespace masat {
 
 // A block of the matrix below or on the diagonal of the factor.
 struct BlockEntry {
-  std::int64_t target;  // index of its first scalar in the factor
+  std::int64_t target;  // index of its first scalar in the front
   std::int32_t source;  // index in the pattern
   bool below;           // in l21, else in l11
   bool transposed;
@@ -40,12 +40,16 @@ class FrontLayout {
   // Index of a front's first pivot in a vector in the elimination order.
   std::int64_t first(std::int32_t f) const { return std::int64_t{tree_.first[f]} * block_size_; }
 
-  std::int64_t factor_size() const { return factor_start_.back(); }
+  // Without the boundary, whose values become a contribution block.
+  std::int64_t factor_size() const {
+    return tree_.boundary > 0 ? factor_start_[fronts() - 1] : factor_start_.back();
+  }
+  std::int64_t boundary_size() const { return factor_start_.back() - factor_size(); }
+  std::int64_t factor_start(std::int32_t f) const { return factor_start_[f]; }
   std::int64_t contribution_size(std::int32_t f) const { return shape_[f].ld21 * shape_[f].rows; }
-  // A front of which `factor` and `contribution` hold the values.
-  Front front(std::int32_t f, double* factor, double* contribution = nullptr) const {
-    double* const l11 = factor + factor_start_[f];
-    return {shape_[f], l11, l11 + l11_size(f), contribution};
+  // A front of which `values` and `contribution` hold the values.
+  Front front(std::int32_t f, double* values, double* contribution = nullptr) const {
+    return {shape_[f], values, values + l11_size(f), contribution};
   }
 
   std::span<const std::int32_t> children(std::int32_t f) const { return children_.of(f); }

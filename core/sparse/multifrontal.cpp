@@ -28,6 +28,25 @@ void copy_block(double* to, std::int64_t ld, const double* from, bool transposed
   }
 }
 
+// Workspace of the factorization of parts, which are many and take their turns: one for each thread
+// that calls it. It holds the values of the last one.
+struct Workspace {
+  AlignedBuffer buffer;
+  std::int64_t size = 0;
+  const Multifrontal* user = nullptr;
+
+  double* lend(const Multifrontal* to, std::int64_t doubles) {
+    user = to;
+    if (doubles > size) {
+      buffer = AlignedBuffer();
+      buffer = AlignedBuffer(doubles);
+      size = doubles;
+    }
+    return buffer.data();
+  }
+};
+thread_local Workspace workspace;
+
 std::int32_t chunks(std::int32_t count, std::int32_t size) { return (count + size - 1) / size; }
 
 }  // namespace
@@ -37,8 +56,11 @@ Multifrontal::Multifrontal(const FrontLayout& layout, const Kernels& kernels, Wo
       kernels_(kernels),
       schedule_(layout, pool.threads()),
       pool_(pool),
-      factor_(layout.factor_size()),
-      common_(schedule_.common_size) {
+      factor_(layout.factor_size()) {
+  if (layout.tree().boundary == 0) {
+    common_ = AlignedBuffer(schedule_.common_size);
+    shared_ = common_.data();
+  }
   if (!schedule_.subtrees.empty()) {
     for (int t = 0; t < pool_.threads(); ++t) own_.emplace_back(schedule_.thread_size);
   }
@@ -54,6 +76,11 @@ std::int32_t Multifrontal::factorize(std::span<const double> values,
   damping_ = damping;
   elements_ = elements;
   failed_.store(kNone, std::memory_order_relaxed);
+  if (layout_.tree().boundary > 0) {
+    const std::int64_t common = (schedule_.common_size + 7) / 8 * 8;
+    shared_ = workspace.lend(this, common + layout_.boundary_size());
+    boundary_ = shared_ + common;
+  }
   {
     const WorkerPool::Session session(pool_);
     pool_.for_each(static_cast<std::int32_t>(schedule_.subtrees.size()),
@@ -94,6 +121,11 @@ std::vector<char> Multifrontal::fix_failing(std::span<const double> values,
   return fixed;
 }
 
+Front Multifrontal::boundary() const {
+  if (workspace.user != this) throw OverwrittenByOther();
+  return layout_.front(layout_.fronts() - 1, boundary_);
+}
+
 double Multifrontal::pivot_ratio() const {
   constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
   double largest = 1;  // ratio of a diagonal entry to its pivot, which rounding may make less
@@ -121,13 +153,14 @@ void Multifrontal::poll(int rank, double operations) noexcept {
 }
 
 double* Multifrontal::contribution(std::int32_t f, int rank) const {
-  return (schedule_.in_common[f] ? common_ : own_[rank]).data() + schedule_.contribution[f];
+  return (schedule_.in_common[f] ? shared_ : own_[rank].data()) + schedule_.contribution[f];
 }
 
 template <class Threads>
 void Multifrontal::process(std::int32_t f, int rank, Threads&& threads) {
   constexpr std::int32_t kPanel = Kernels::kPanel, kTile = Kernels::kTile;
-  const Front front = layout_.front(f, factor_.data(), contribution(f, rank));
+  double* const to = layout_.tree().is_boundary(f) ? boundary_ : values(f);
+  const Front front = layout_.front(f, to, contribution(f, rank));
   if (const std::int32_t element = layout_.tree().element[f]; element >= 0) {
     return copy_element(front.cb, f, elements_[element]);
   }
@@ -193,7 +226,7 @@ void Multifrontal::assemble_pivots(const Front& front, std::int32_t f, int rank,
   const std::int32_t first = layout_.tree().first[f];
   for (std::int32_t k = first + begin / d; k < first + end / d; ++k) {
     for (const BlockEntry& entry : layout_.entries(k)) {
-      copy(factor_.data() + entry.target, entry.below ? front.ld21 : front.ld11,
+      copy(front.l11 + entry.target, entry.below ? front.ld21 : front.ld11,
            values_.data() + std::int64_t{entry.source} * d * d, entry.transposed);
     }
     const std::int64_t node = std::int64_t{layout_.tree().order[k]} * d;

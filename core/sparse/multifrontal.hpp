@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <exception>
 #include <span>
+#include <stdexcept>
 #include <vector>
 
 #include "interrupt.hpp"
@@ -21,6 +22,12 @@ namespace masat {
 struct Element {
   std::span<const std::int32_t> nodes;
   const double* block;
+};
+
+// Thrown where the values at a boundary are asked for too late.
+struct OverwrittenByOther : std::logic_error {
+  OverwrittenByOther()
+      : logic_error("another part has been factorized since: call factorize() again") {}
 };
 
 class Multifrontal {
@@ -48,7 +55,11 @@ class Multifrontal {
 
   // A front of the factor, without its contribution block, which is not kept, and 1 / sqrt(pivot)
   // for each of its pivots.
-  Front front(std::int32_t f) const { return layout_.front(f, factor_.data()); }
+  Front front(std::int32_t f) const { return layout_.front(f, values(f)); }
+  // The front of the boundary, which holds what the last factorization leaves there. Throws
+  // OverwrittenByOther if this thread has factorized another part since, or another thread this
+  // one.
+  Front boundary() const;
   const double* reciprocal(std::int32_t f) const { return reciprocal_.data() + layout_.first(f); }
 
  private:
@@ -58,6 +69,7 @@ class Multifrontal {
     std::vector<char>& fixed;
   };
 
+  double* values(std::int32_t f) const { return factor_.data() + layout_.factor_start(f); }
   double* contribution(std::int32_t f, int rank) const;
   void assemble_pivots(const Front& front, std::int32_t f, int rank, std::int32_t begin,
                        std::int32_t end);
@@ -78,6 +90,8 @@ class Multifrontal {
   Schedule schedule_;
   WorkerPool& pool_;
   AlignedBuffer factor_, common_;
+  // Where the contribution blocks between threads are, and the front of the boundary.
+  double *shared_ = nullptr, *boundary_ = nullptr;
   std::vector<AlignedBuffer> own_;  // of each thread
   // Of each pivot: 1 / sqrt(pivot), and epsilon times its diagonal entry before the elimination. A
   // pivot that is not greater than that floor has failed.

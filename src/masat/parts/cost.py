@@ -37,11 +37,25 @@ class Cost(NamedTuple):
 
 
 def homes(index: Index, workers: int) -> list[int]:
-    """Return the worker of each piece: neighboring parts together, a separator with a child."""
+    """Return the worker of each piece.
+
+    Neighboring parts are together. A separator is with a part below it: with the worker, of these,
+    that holds the least.
+    """
     found: list[int] = []
+    memory = [0] * workers
+    below: list[range] = []
     for k, entry in enumerate(index.pieces):
-        of_part = k * workers // index.parts
-        found.append(of_part if k < index.parts else found[entry.children[0]])
+        if k < index.parts:
+            home = k * workers // index.parts
+            below.append(range(home, home + 1))
+        else:
+            those = [below[c] for c in entry.children]
+            below.append(range(min(r.start for r in those), max(r.stop for r in those)))
+            home = min(below[k], key=memory.__getitem__)
+        found.append(home)
+        # Blocks of children stay until their parent has taken them in.
+        memory[home] += entry.memory + sum(index.pieces[c].message for c in entry.children)
     return found
 
 
@@ -51,7 +65,7 @@ def cost(index: Index, workers: int) -> Cost:
     Each worker takes its pieces in the order of the index, as soon as those below are done.
     """
     home = homes(index, workers)
-    memory, free = [0] * workers, [0.0] * workers
+    memory, workspace, free = [0] * workers, [0] * workers, [0.0] * workers
     done: list[float] = []
     sent = 0
     for k, entry in enumerate(index.pieces):
@@ -59,13 +73,15 @@ def cost(index: Index, workers: int) -> Cost:
         done.append(begin + entry.operations)
         free[home[k]] = done[k]
         memory[home[k]] += entry.memory
+        workspace[home[k]] = max(workspace[home[k]], entry.workspace)
         if entry.parent >= 0:
             # Blocks of children stay until their parent has taken them in.
             memory[home[entry.parent]] += entry.message
             if home[entry.parent] != home[k]:
                 sent += entry.message
     operations = sum(entry.operations for entry in index.pieces)
-    return Cost(workers, operations, max(done, default=0.0), max(memory), sent)
+    largest = max(m + w for m, w in zip(memory, workspace, strict=True))
+    return Cost(workers, operations, max(done, default=0.0), largest, sent)
 
 
 def table(index: Index) -> list[Cost]:

@@ -105,9 +105,6 @@ class _Cut:
         blocks = len(piece.ids) + len(piece.edges) + len(piece.child_nodes)
         measured = piece.measurements.nbytes + piece.information.nbytes + piece.edges.nbytes
         at_boundary = piece.boundary * dof
-        # Contribution blocks on their way to the boundary lie on two stacks, each of which comes to
-        # hold a block of about the size of the boundary.
-        stacks = 2 * 8 * at_boundary**2
         return Entry(
             file=file.name,
             hash=file_hash,
@@ -118,10 +115,10 @@ class _Cut:
             boundary=piece.boundary,
             edges=len(piece.edges),
             operations=system.elimination.operations(dof),
-            memory=system.elimination.factor_bytes(dof)
-            + 8 * blocks * dof * dof
-            + measured
-            + stacks,
+            memory=system.elimination.factor_bytes(dof) + 8 * blocks * dof * dof + measured,
+            # Contribution blocks on their way to the boundary lie on two stacks, each of which
+            # comes to hold a block of about the size of the boundary.
+            workspace=3 * 8 * at_boundary**2,
             message=8 * (at_boundary * (at_boundary + 1) // 2 + at_boundary),
         )
 

@@ -11,7 +11,7 @@ from masat.files import write_atomically
 from masat.parts.pieces import missing
 
 _FILE = "index.json"
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,8 @@ class Entry:
         Floating-point operations of a factorization.
     memory : int
         Bytes of its system, its factor and its measurements in memory.
+    workspace : int
+        Bytes of memory that a factorization takes besides, about. The pieces of a worker share it.
     message : int
         Bytes of the contribution block that it sends to its parent.
     """
@@ -50,6 +52,7 @@ class Entry:
     edges: int
     operations: float
     memory: int
+    workspace: int
     message: int
 
 
