@@ -101,8 +101,9 @@ def test_a_partition_that_cannot_be_is_refused(tmp_path, options, message):
 
 
 def test_a_folder_in_use_and_measurements_of_other_kinds_are_refused(tmp_path):
+    lever = masat.gps([5], [[1.0, 2.0]], 0.5, lever_arm=[0.1, 0.2])
     with pytest.raises(PartitionError, match="cannot be cut into parts yet"):
-        masat.partition(CITY.with_priors(masat.gps([5], [[1.0, 2.0]], 0.5)), tmp_path, 2)
+        masat.partition(CITY.with_priors(lever), tmp_path, 2)
     (tmp_path / "file").touch()
     with pytest.raises(PartitionError, match="is not empty"):
         masat.partition(CITY, tmp_path, 2)
@@ -142,6 +143,12 @@ def test_a_graph_whose_measurements_stay_on_disk_is_the_same(tmp_path, monkeypat
         assert np.array_equal(getattr(graph, attribute), getattr(mapped, attribute)), attribute
 
 
+def test_a_graph_with_fixes_is_read_as_a_whole(tmp_path):
+    path = tmp_path / "graph.g2o"
+    masat.write(CITY.with_priors(masat.gps([5], [[1.0, 2.0]], 0.5)), path)
+    assert len(read_mapped(path, tmp_path).priors) == 1
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
@@ -150,7 +157,6 @@ def test_a_graph_whose_measurements_stay_on_disk_is_the_same(tmp_path, monkeypat
         ("EDGE_SE2 0 5000 1 0 0 1 0 0 1 0 1", r"5000, which is not among the nodes"),
         ("FIX 5000", r"the fixed node 5000 is not in the graph"),
         ("VERTEX_SE2 0 1 2 3", r"the node id 0 occurs twice"),
-        ("EDGE_PRIOR_SE2_XY 0 1 2 1 0 1", r"holds priors or landmarks"),
     ],
 )
 def test_errors_of_a_graph_on_disk_name_the_line(tmp_path, monkeypatch, line, message):

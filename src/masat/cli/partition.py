@@ -21,6 +21,7 @@ from masat.formats.streaming import read_mapped
 from masat.graph import PoseGraph
 from masat.parts import Partition
 from masat.parts import partition as partitioned
+from masat.parts.index import Index
 
 _SHOWN = 10  # iterations that masat status lists
 
@@ -99,6 +100,7 @@ def describe(partition: Partition, as_json: bool) -> None:
     show.rows(
         [
             ("partition", f"{index.dimension}D, {index.nodes} nodes, {index.edges} edges"),
+            *_other_measurements(index),
             (
                 "parts",
                 f"{index.parts}, of {min(e.own for e in of_parts)} to "
@@ -130,6 +132,16 @@ def describe(partition: Partition, as_json: bool) -> None:
         f"up to {best.workers} workers help; each of them needs {_bytes(best.memory)} and what "
         "Python takes"
     )
+
+
+def _other_measurements(index: Index) -> list[tuple[str, str]]:
+    """Return rows about priors, landmarks, and what is not determined."""
+    rows = []
+    if index.priors:
+        rows.append(("priors", str(index.priors)))
+    if index.landmarks:
+        rows.append(("landmarks", f"{index.landmarks}, seen {index.observations} times"))
+    return rows + [("note", note) for note in index.notes]
 
 
 def solve_parts(

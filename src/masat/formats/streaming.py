@@ -9,6 +9,7 @@ from __future__ import annotations
 import gzip
 import zlib
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import BinaryIO
 
@@ -34,7 +35,8 @@ def read_mapped(path: Path, folder: Path, *, format: str | None = None) -> PoseG
     Parameters
     ----------
     path : Path
-        A file as of `masat.read`. One whose format does not consist of lines is read as a whole.
+        A file as of `masat.read`. One whose format does not consist of lines, or which has priors
+        or landmarks, is read as a whole.
     folder : Path
         A folder for the measurements, which must exist as long as the graph.
     format : str, optional
@@ -48,7 +50,7 @@ def read_mapped(path: Path, folder: Path, *, format: str | None = None) -> PoseG
     Raises
     ------
     FormatError
-        As of `masat.read`; also if the file has priors or landmarks.
+        As of `masat.read`.
     """
     with path.open("rb") as file:
         compressed = file.read(len(_GZIP)) == _GZIP
@@ -60,10 +62,10 @@ def read_mapped(path: Path, folder: Path, *, format: str | None = None) -> PoseG
             return read_without_warnings(path, format=format)
         spool = _Spool(path, folder, table)
         with spool.open():
-            spool.add(first)
-            for block in blocks:
-                spool.add(block)
-    return spool.graph()
+            of_edges_alone = all(map(spool.add, chain([first], blocks)))
+        if of_edges_alone:
+            return spool.graph()
+    return read_without_warnings(path, format=format)
 
 
 def _blocks(text: BinaryIO | gzip.GzipFile, path: Path) -> Iterator[bytes]:
@@ -107,19 +109,15 @@ class _Spool:
         for file in self._written:
             file.close()
 
-    def add(self, block: bytes) -> None:
-        """Add a block of whole lines."""
+    def add(self, block: bytes) -> bool:
+        """Add a block of whole lines; return whether all of it are poses and edges."""
         try:
             parsed = _core.parse(block, self._table.records)
         except _core.ParseError as error:
             line, message = error.args
             raise FormatError(message, self._path, line + self._lines) from None
-        for kind in _OTHER_KINDS:
-            if len(parsed[kind]):  # type: ignore[literal-required]
-                raise FormatError(
-                    "holds priors or landmarks, which cannot be read with the measurements on disk",
-                    self._path,
-                )
+        if any(len(parsed[kind]) for kind in _OTHER_KINDS):  # type: ignore[literal-required]
+            return False
         if len(parsed["vertex_ids"]):
             self._ids.append(parsed["vertex_ids"])
             self._poses.append(parsed["vertex_poses"])
@@ -127,6 +125,7 @@ class _Spool:
         if len(parsed["edge_ids"]):
             self._add_edges(parsed)
         self._lines += block.count(b"\n")
+        return True
 
     def _add_edges(self, parsed: _core.ParsedGraph) -> None:
         size = parsed["measurements"].shape[1]

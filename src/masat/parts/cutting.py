@@ -10,12 +10,14 @@ from numpy.typing import ArrayLike
 
 from masat import lie
 from masat.arrays import Floats, Ids, Indices
-from masat.assembly import needs_assembly
+from masat.assembly import Assembly, assemble, needs_assembly
+from masat.determinacy import with_undetermined_kept
 from masat.errors import PartitionError
 from masat.graph import PoseGraph
 from masat.groups import Groups
+from masat.initializers import initialize
 from masat.parts.checkpoints import GIVEN, write_poses
-from masat.parts.dissection import Dissection, dissect, given_labels, metis_labels
+from masat.parts.dissection import Dissection, checked_labels, dissect, given_labels, metis_labels
 from masat.parts.elimination import PieceSystem
 from masat.parts.index import Entry, Index
 from masat.parts.ordering import ordered
@@ -32,18 +34,19 @@ def write_partition(
     folder = Path(folder)
     if (parts is None) == (labels is None):
         raise PartitionError("give either the number of parts or the part of each node")
-    if needs_assembly(graph):
-        raise PartitionError(
-            "a graph with priors, landmarks or edges of partial information cannot be cut into "
-            "parts yet: solve it in one process, or leave those measurements out"
-        )
+    source, world, notes = graph, None, list[str]()
+    checked = None if labels is None else checked_labels(source, labels)
+    if needs_assembly(source):
+        assembly, notes = _assembled(source)
+        graph, world = assembly.graph, int(assembly.graph.ids[-1])
+        checked = None if checked is None else _labels_of_nodes(assembly, checked)
     if len(graph.structure.free) == 0:
         raise PartitionError("the graph has no node that is optimized")
     folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()):
         raise PartitionError(f"{folder}: is not empty; choose another folder")
-    if labels is not None:
-        found = given_labels(graph, labels)
+    if checked is not None:
+        found = given_labels(graph, checked)
     elif parts is not None:
         found = metis_labels(graph, parts)
     tree = dissect(graph, found)
@@ -53,8 +56,13 @@ def write_partition(
     index = Index(
         graph=graph_hash,
         dimension=graph.dimension,
-        nodes=len(graph),
-        edges=len(graph.edges),
+        nodes=len(source),
+        edges=len(source.edges),
+        priors=0 if source.priors is None else len(source.priors),
+        observations=0 if source.landmarks is None else len(source.landmarks.observations),
+        landmarks=0 if source.landmarks is None else len(source.landmarks),
+        world=world,
+        notes=notes,
         parts=tree.parts,
         separators=len(cut.separators),
         with_poses=graph.poses is not None,
@@ -62,6 +70,30 @@ def write_partition(
     )
     index.save(folder)
     return index
+
+
+def _labels_of_nodes(assembly: Assembly, labels: Ids) -> Ids:
+    """Return the parts of all nodes: a landmark is in that of the pose that saw it first."""
+    out = np.zeros(len(assembly.graph.ids), np.int64)
+    out[assembly.poses_at] = labels
+    pose, point = assembly.graph.edge_indices[assembly.observation_rows].T
+    seen, first = np.unique(point, return_index=True)
+    out[seen] = out[pose[first]]
+    return out
+
+
+def _assembled(source: PoseGraph) -> tuple[Assembly, list[str]]:
+    """Return the graph of edges alone in the place of one with other measurements, and notes."""
+    unplaced = source.landmarks is not None and source.points is None
+    if source.poses is None or unplaced:
+        source = initialize(source, "masat")
+    assembly, notes = with_undetermined_kept(assemble(source))
+    if assembly.graph.offsets is not None or assembly.graph.range_bearing is not None:
+        raise PartitionError(
+            "a graph with lever arms, ranges or bearings cannot be cut into parts yet: solve it in "
+            "one process, or leave those measurements out"
+        )
+    return assembly, notes
 
 
 class _Cut:

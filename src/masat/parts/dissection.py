@@ -109,8 +109,8 @@ def metis_labels(graph: PoseGraph, parts: int) -> Ids:
     return labels
 
 
-def given_labels(graph: PoseGraph, labels: ArrayLike) -> Ids:
-    """Return parts that were given, checked; -1 for nodes that are not optimized."""
+def checked_labels(graph: PoseGraph, labels: ArrayLike) -> Ids:
+    """Return the part of each node as it was given, (n,), checked."""
     given = np.asarray(labels)
     if given.shape != (len(graph),) or given.dtype.kind not in "iu":
         raise PartitionError(
@@ -120,8 +120,13 @@ def given_labels(graph: PoseGraph, labels: ArrayLike) -> Ids:
     if given.min() < 0:
         node = graph.ids[int(np.argmin(given))]
         raise PartitionError(f"parts are numbered from 0; node {node} has {given.min()}")
+    return given.astype(np.int64)
+
+
+def given_labels(graph: PoseGraph, labels: Ids) -> Ids:
+    """Return the parts of nodes, (n,), numbered anew; -1 for nodes that are not optimized."""
     # Numbers that no node has are left out.
-    _, numbered = np.unique(given, return_inverse=True)
+    _, numbered = np.unique(labels, return_inverse=True)
     numbered = numbered.astype(np.int64)
     numbered[~_free(graph)] = -1
     used, again = np.unique(numbered, return_inverse=True)

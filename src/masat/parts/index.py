@@ -66,6 +66,14 @@ class Index:
         Hash of the graph.
     dimension, nodes, edges : int
         Those of the graph.
+    priors, observations, landmarks : int
+        How many it has of these.
+    world : int or None
+        The id of the node that stands for the world, from which priors are edges; None without
+        one. Rows of edges in the pieces are those of the graph, its priors, its observations, one
+        for the rotation of each landmark, and those that keep what is not determined.
+    notes : list of str
+        What is not determined.
     parts : int
         Number of parts; the first pieces are the parts, the others separators.
     separators : int
@@ -80,6 +88,11 @@ class Index:
     dimension: int
     nodes: int
     edges: int
+    priors: int
+    observations: int
+    landmarks: int
+    world: int | None
+    notes: list[str]
     parts: int
     separators: int
     with_poses: bool

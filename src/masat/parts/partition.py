@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from masat.arrays import Floats, Ids
@@ -20,6 +19,7 @@ from masat.parts.cutting import write_partition
 from masat.parts.index import Index, read_index
 from masat.parts.pieces import Piece, read_piece
 from masat.parts.solving import PartitionResult, solve_partition
+from masat.parts.whole import graph_of, nodes_of
 
 
 class Partition:
@@ -138,34 +138,28 @@ class Partition:
         poses : ndarray of float64, (n, 3) or (n, 7)
             Meters and radians, as of `PoseGraph.poses`.
         """
-        ids, poses = zip(*(_posed(piece, at) for piece, at in self._pieces()), strict=True)
-        return _once(ids, poses)
+        nodes = nodes_of(self.index, self._pieces())
+        return nodes.ids[~nodes.is_point], nodes.poses[~nodes.is_point]
+
+    def points(self) -> tuple[Ids, Floats]:
+        """Return the ids, ascending, and the positions of the landmarks at the lowest chi2 so far.
+
+        Returns
+        -------
+        ids : ndarray of int64, (k,)
+        positions : ndarray of float64, (k, 2) or (k, 3)
+            Meters.
+        """
+        nodes = nodes_of(self.index, self._pieces())
+        at = nodes.is_point
+        return nodes.ids[at], nodes.poses[at, : self.index.dimension]
 
     def graph(self) -> PoseGraph:
         """Return the whole graph at the poses of the lowest chi2 so far, in this process' memory.
 
         Nodes without an edge are not part of it.
         """
-        ids, poses, rows, edges, measurements, information, gauge = [], [], [], [], [], [], []
-        for piece, at in self._pieces():
-            posed, where = _posed(piece, at)
-            ids.append(posed)
-            poses.append(where)
-            rows.append(piece.rows)
-            edges.append(piece.ids[piece.edges])
-            measurements.append(piece.measurements)
-            information.append(piece.information)
-            gauge.append(piece.ids[piece.own + piece.boundary :])
-        order = np.argsort(np.concatenate(rows))
-        every, at = _once(ids, poses)
-        return PoseGraph.from_arrays(
-            np.concatenate(edges)[order],
-            np.concatenate(measurements)[order],
-            np.concatenate(information)[order],
-            ids=every,
-            poses=at,
-            fixed=np.unique(np.concatenate(gauge)),
-        )
+        return graph_of(self.index, self._pieces())
 
     def _pieces(self) -> Iterator[tuple[Piece, Floats]]:
         checkpoint = self.status()
@@ -175,19 +169,6 @@ class Partition:
         for entry in self.index.pieces:
             piece = read_piece(self.folder / entry.file, self.index.graph, entry.hash)
             yield piece, read_poses(str(self.folder), name, entry.file, piece)
-
-
-def _posed(piece: Piece, poses: Floats) -> tuple[Ids, Floats]:
-    """Return the ids and poses of the own and the fixed nodes of a piece."""
-    fixed = piece.ids[piece.own + piece.boundary :]
-    ids = np.concatenate([piece.ids[: piece.own], fixed])
-    return ids, np.concatenate([poses[: piece.own], piece.fixed_poses])
-
-
-def _once(ids: Sequence[Ids], poses: Sequence[Floats]) -> tuple[Ids, Floats]:
-    """Return each node once: a fixed one is in several pieces."""
-    every, first = np.unique(np.concatenate(ids), return_index=True)
-    return every, np.concatenate(poses)[first]
 
 
 def partition(
@@ -205,7 +186,8 @@ def partition(
     Parameters
     ----------
     graph : PoseGraph
-        A graph without priors, landmarks and edges of partial information.
+        A graph. With priors, landmarks or edges of partial information it gets an initial guess
+        here if it has none. Lever arms, ranges and bearings cannot be cut yet.
     folder : path-like
         A folder that is empty, or is made.
     parts : int, optional

@@ -198,6 +198,11 @@ def _initial_poses(
                 "the graph had no poses: take the initial guess masat or spanning_tree"
             )
         return init, GIVEN
+    if index.world is not None:
+        raise PartitionError(
+            "the parts of a graph with priors, landmarks or edges of partial information keep the "
+            "initial guess that they were cut with: give the graph another one and cut it again"
+        )
     if init not in GUESSES:
         raise PartitionError(
             f"unknown initial guess {init!r} of a partition; known: given, {', '.join(GUESSES)}"
