@@ -215,6 +215,13 @@ def test_nodes_that_are_all_fixed_are_certain():
     )
     assert (masat.covariances(graph) == np.zeros((4, 6, 6))).all()
     assert (masat.relative_covariances(graph, [(0, 3)]) == np.zeros((1, 6, 6))).all()
+    # So many edges are added up in several groups.
+    edges = np.tile(graph.edges, (400, 1))
+    many = PoseGraph.from_arrays(
+        edges, np.tile(graph.measurements, (400, 1)), poses=graph.poses, fixed=range(4)
+    )
+    assert len(edges) == 2000
+    assert masat.optimize(many).reason is masat.StopReason.NOTHING_TO_DO
 
 
 def test_what_cannot_be_told_is_refused():

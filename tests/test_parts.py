@@ -11,6 +11,7 @@ from masat.optimizers.damped import LocalSystem
 from masat.optimizers.equations import normal_equations
 from masat.parts import tasks
 from masat.parts.checkpoints import GIVEN, read_poses, write_poses
+from masat.parts.cost import homes
 from masat.parts.elimination import PieceSystem
 from masat.parts.engines import InTurn
 from masat.parts.pieces import read_piece, read_separators
@@ -259,6 +260,11 @@ def test_costs_follow_from_the_index(tmp_path):
     assert four.critical < two.critical < one.critical
     whole = CITY.elimination.operations(3)
     assert 0.5 * whole < one.operations < 5 * whole
+
+
+def test_workers_without_a_part_have_no_separator(tmp_path):
+    made = masat.partition(CITY, tmp_path / "parts", 2)
+    assert homes(made.index, 4) == [0, 2, 0]
 
 
 def test_a_part_may_have_no_nodes_but_separators(tmp_path):

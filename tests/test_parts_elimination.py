@@ -1,3 +1,4 @@
+from concurrent.futures import ThreadPoolExecutor
 from itertools import combinations
 
 import numpy as np
@@ -5,7 +6,7 @@ import pytest
 from random_graphs import random_graph
 
 import masat
-from masat._core import Elimination, NormalEquations, Topology
+from masat._core import Elimination, NormalEquations, Topology, free_workspace
 from masat.parts.covers import smallest_cover
 from masat.parts.dissection import dissect, metis_labels
 from masat.worlds import city, perturb, sphere
@@ -74,6 +75,36 @@ def test_a_part_alone_has_no_solution():
     assert equations.factorize(np.ones(15)) == -1
     with pytest.raises(RuntimeError, match="has a boundary"):
         equations.solve()
+
+
+def test_values_at_a_boundary_are_asked_for_before_another_part_is_factorized():
+    def part(seed):
+        graph = random_graph(2, 6, 3, seed, noise=0.1)
+        order = np.arange(6, dtype=np.int32)
+        elimination = Elimination(graph.topology, np.zeros(6, bool), order, 2)
+        equations = NormalEquations(
+            graph.topology, elimination, graph.measurements, graph.information
+        )
+        equations.linearize(graph.poses)
+        assert equations.factorize(np.ones(18)) == -1
+        return equations
+
+    one = part(0)
+    known = one.contribution()
+    other = part(1)
+    with pytest.raises(RuntimeError, match="another part has been factorized"):
+        one.contribution()
+    assert one.factorize(np.ones(18)) == -1
+    assert np.array_equal(one.contribution(), known)
+    with ThreadPoolExecutor(1) as thread:
+        # The workspace of another thread holds what that thread has factorized.
+        assert thread.submit(one.factorize, np.ones(18)).result() == -1
+        assert thread.submit(other.factorize, np.ones(18)).result() == -1
+        with pytest.raises(RuntimeError, match="another part has been factorized"):
+            one.contribution()
+    free_workspace()
+    with pytest.raises(RuntimeError, match="another part has been factorized"):
+        one.contribution()
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -25,7 +25,7 @@ def test_two_minima_differ_where_only_one_of_them_is_twisted():
     assert not (first[0] | second[0])[12 + 4 : 12 + CHAIN - 4].any()
     assert list(OtherMinimum(graph.poses).parts(graph, graph.poses)) == []
     # What was refused is not tried again until it is elsewhere.
-    minimum.refuse(first[0], graph.poses)
+    minimum.refuse(first[0], graph, graph.poses)
     assert not any(np.array_equal(p, first[0]) for p in minimum.parts(graph, graph.poses))
     turned = lie.compose(np.array([0, 0, 0.1]), graph.poses)
     assert any(np.array_equal(p, first[0]) for p in minimum.parts(graph, turned))

@@ -21,6 +21,7 @@
 #include "relaxation/pose_form.hpp"
 #include "sparse/elimination.hpp"
 #include "sparse/graph_matrix.hpp"
+#include "sparse/multifrontal.hpp"
 
 namespace masat {
 
@@ -225,6 +226,7 @@ void bind_systems(nb::module_& m) {
           },
           "rows"_a, "columns"_a);
 
+  m.def("free_workspace", &Multifrontal::free_workspace);
   m.def("solve_translations", &solved_translations, "topology"_a, "matrix"_a, "measurements"_a,
         "information"_a, "poses"_a, "offsets"_a = nb::none());
 }

@@ -86,14 +86,6 @@ class EdgeLosses {
     return robust(edge) ? loss()(chi2).cost : weight(edge) * chi2;
   }
 
-  // Those of the edges from one on.
-  EdgeLosses from(std::int64_t edge) const {
-    EdgeLosses rest = *this;
-    if (!weights_.empty()) rest.weights_ = weights_.subspan(edge);
-    if (!trusted_.empty()) rest.trusted_ = trusted_.subspan(edge);
-    return rest;
-  }
-
  private:
   std::optional<Loss> loss_;
   std::span<const double> weights_;  // what the spans show must outlive the losses

@@ -62,6 +62,9 @@ struct BlockCholesky::Impl {
         });
       }
     };
+    if (const int last = columns / width; columns % width != 0) {
+      std::fill(substitution.group(last), substitution.group(last + 1), 0.0);
+    }
     exchange([](double& own, double& packed) { packed = own; });
     solve();
     exchange([](double& own, double& packed) { own = packed; });

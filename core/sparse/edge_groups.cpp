@@ -26,7 +26,7 @@ EdgeGroups::EdgeGroups(const Elimination& elimination, std::span<const Edge> edg
   const std::vector<std::int32_t>& order = elimination.tree().order;
   const std::vector<std::int32_t>& position = elimination.tree().index;
   const auto nodes = static_cast<std::int32_t>(order.size());
-  const std::int32_t groups = group_count(edges.size(), work);
+  const std::int32_t groups = nodes == 0 ? 1 : group_count(edges.size(), work);
   const auto last = static_cast<std::int32_t>(nodes - 1);
   // The end that is eliminated first, and the other one; both are the same if one node is fixed.
   // Edges between fixed nodes count as those of the last node.

@@ -32,7 +32,8 @@ class GraphMatrix {
   int block_size() const { return d_; }
   std::int64_t rows() const { return std::int64_t{d_} * pattern().columns(); }
   const std::shared_ptr<const Elimination>& elimination() const { return elimination_; }
-  // The threads that compute with this matrix.
+  // The threads that compute with this matrix. One thread at a time may call any method, const
+  // ones too: they share this pool.
   WorkerPool& pool() const { return *pool_; }
 
   // Adds to H the form

@@ -35,13 +35,18 @@ struct Workspace {
   std::int64_t size = 0;
   const Multifrontal* user = nullptr;
 
+  void free() {
+    buffer = AlignedBuffer();
+    size = 0;
+    user = nullptr;
+  }
   double* lend(const Multifrontal* to, std::int64_t doubles) {
-    user = to;
     if (doubles > size) {
-      buffer = AlignedBuffer();
+      free();
       buffer = AlignedBuffer(doubles);
       size = doubles;
     }
+    user = to;
     return buffer.data();
   }
 };
@@ -68,6 +73,8 @@ Multifrontal::Multifrontal(const FrontLayout& layout, const Kernels& kernels, Wo
   reciprocal_.resize(scalars);
   floor_.resize(scalars);
 }
+
+void Multifrontal::free_workspace() { workspace.free(); }
 
 std::int32_t Multifrontal::factorize(std::span<const double> values,
                                      std::span<const double> damping,
@@ -122,7 +129,7 @@ std::vector<char> Multifrontal::fix_failing(std::span<const double> values,
 }
 
 Front Multifrontal::boundary() const {
-  if (workspace.user != this) throw OverwrittenByOther();
+  if (workspace.user != this || workspace.buffer.data() != shared_) throw OverwrittenByOther();
   return layout_.front(layout_.fronts() - 1, boundary_);
 }
 

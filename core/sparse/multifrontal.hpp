@@ -51,6 +51,9 @@ class Multifrontal {
   // factorization, which must have succeeded; 1 without pivots.
   double pivot_ratio() const;
 
+  // Frees the workspace of parts that this thread has factorized.
+  static void free_workspace();
+
   WorkerPool& pool() const { return pool_; }
 
   // A front of the factor, without its contribution block, which is not kept, and 1 / sqrt(pivot)

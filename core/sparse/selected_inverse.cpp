@@ -206,18 +206,20 @@ void Inverter::solve_columns(std::vector<Wanted> wanted, WorkerPool& pool) {
   for (std::int32_t f = 0; f < tree_.fronts(); ++f) {
     widest = std::max<std::int64_t>(widest, layout_.shape(f).rows);
   }
+  // Fewer batches than threads have a workspace each, more of them share that of their thread.
+  const auto count = static_cast<std::int32_t>(batches.size());
+  const bool few = count < pool.threads();
   std::deque<Workspace> spaces;
-  for (int rank = 0; rank < pool.threads(); ++rank) {
+  for (int k = 0; k < (few ? count : pool.threads()); ++k) {
     spaces.emplace_back(tree_.order.size() * d_, widest, nodes * d_, tree_.fronts());
   }
   const WorkerPool::Session session(pool);
   // A few batches at a time, between which Ctrl-C is noticed.
-  const auto count = static_cast<std::int32_t>(batches.size());
   const std::int32_t step = kBatchesAtOnce * pool.threads();
   for (std::int32_t first = 0; first < count; first += step) {
     check_interrupt();
     pool.for_each(std::min(step, count - first), [&](std::int32_t k, int rank) {
-      solve_batch(batches[first + k], source, spaces[rank]);
+      solve_batch(batches[first + k], source, spaces[few ? k : rank]);
     });
   }
 }

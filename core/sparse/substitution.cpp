@@ -54,14 +54,15 @@ void Substitution::reserve(int width, int groups) {
     for (std::int32_t f = 0; f < layout_.fronts(); ++f) {
       widest = std::max(widest, layout_.shape(f).ld11 + layout_.shape(f).ld21);
     }
-    front_.clear();
-    for (int t = 0; t < pool_.threads(); ++t) front_.emplace_back(widest * width);
+    std::vector<AlignedBuffer> front;
+    for (int t = 0; t < pool_.threads(); ++t) front.emplace_back(widest * width);
+    front_ = std::move(front);
   }
   width_ = width;
   groups_ = groups;
   if (groups * group_size() > capacity_) {
+    values_ = AlignedBuffer(groups * group_size());
     capacity_ = groups * group_size();
-    values_ = AlignedBuffer(capacity_);
   }
 }
 

@@ -38,9 +38,9 @@ from masat.progress import Progress
 
 # Minima whose chi2 differs by a smaller fraction are taken to be the same.
 _SAME_MINIMUM = 1e-6
-# Edges from a node where the certificate fails, from an edge of an ambiguous cycle, and from the
-# nodes that a shift rotates, within which nodes are lifted.
-_NODE_REACH, _EDGE_REACH, _CYCLE_REACH = 6, 3, 3
+# Edges from a node where the certificate fails, and from an edge of an ambiguous cycle, within
+# which nodes are lifted.
+_NODE_REACH, _EDGE_REACH = 6, 3
 # A residual that changed by a smaller fraction of itself is the same as before.
 _SAME_RESIDUAL = 0.02
 # Cycles tried at the most: the first divided by the number of nodes, but at least the second.
@@ -127,7 +127,7 @@ def lower_minimum(
 
 
 class _Search:
-    """The lowest minimum found so far."""
+    """A search from a minimum to lower ones."""
 
     def __init__(
         self,
@@ -293,7 +293,7 @@ class _Search:
             for part in other.parts(self._graph, self.poses):
                 trial = partial(spliced_in, other=other.poses, nearly=self._nearly)
                 if not self.lowest.attempt(part, trial):
-                    other.refuse(part, self.poses)
+                    other.refuse(part, self._graph, self.poses)
         return self.chi2 < first * (1 - LOWER)
 
     def at_all_nodes(self, always: bool) -> bool:

@@ -39,7 +39,8 @@ class OtherMinimum:
     def parts(self, graph: PoseGraph, poses: Floats) -> Iterator[Flags]:
         """Yield sets of nodes, (n,) each, in which two minima differ, the large ones last.
 
-        A set is left out if it was refused and its nodes are where they were then.
+        A set is left out if it was refused and its nodes and their neighbors are where they were
+        then.
 
         Parameters
         ----------
@@ -61,14 +62,14 @@ class OtherMinimum:
             for part in connected_parts(graph, neighborhood(graph, nodes, _REACH)):
                 key = _key(part)
                 refused = self._refused.get(key)
-                same = refused is not None and same_poses(refused, poses[part])
+                same = refused is not None and same_poses(refused, poses[neighborhood(graph, part)])
                 if key not in seen and not same:
                     seen.add(key)
                     yield part
 
-    def refuse(self, part: Flags, poses: Floats) -> None:
+    def refuse(self, part: Flags, graph: PoseGraph, poses: Floats) -> None:
         """Remember that a part did not lower chi2 at these poses of all nodes."""
-        self._refused[_key(part)] = poses[part]
+        self._refused[_key(part)] = poses[neighborhood(graph, part)]
 
 
 def same_poses(some: Floats, others: Floats) -> bool:

@@ -50,6 +50,8 @@ class LowestMinimum:
         Their chi2.
     unit : float
         What counts as one in chi2: less where the information promises less than it keeps.
+    movable : ndarray of int
+        Indices of the gauge nodes that are the only ones of their components.
 
     Raises
     ------
@@ -154,7 +156,8 @@ def lifted(part: Subgraph, seed: int, nearly: float) -> Result:
     seed : int
         Seed of the random noise that is added when a rank is raised.
     nearly : float
-        chi2 above that of the part which is as good as its own, here and in the trials below.
+        How far above the part's chi2 a trial may end and still be worth going on with, here and in
+        the trials below.
     """
     initial = part.graph.with_poses(lift(part.graph, seed=seed))
     low_enough = part.graph.chi2 + nearly

@@ -19,7 +19,8 @@ class Cost(NamedTuple):
     critical : float
         Operations that the last worker to finish has done or waited for, one core a worker.
     memory : int
-        Bytes of the systems of the worker that holds the most.
+        Bytes of the worker that holds the most: systems, workspace, and contribution blocks on
+        their way to it.
     sent : int
         Bytes of the contribution blocks that go from one worker to another.
     """
@@ -44,14 +45,13 @@ def homes(index: Index, workers: int) -> list[int]:
     """
     found: list[int] = []
     memory = [0] * workers
-    below: list[range] = []
+    below: list[list[int]] = []
     for k, entry in enumerate(index.pieces):
         if k < index.parts:
             home = k * workers // index.parts
-            below.append(range(home, home + 1))
+            below.append([home])
         else:
-            those = [below[c] for c in entry.children]
-            below.append(range(min(r.start for r in those), max(r.stop for r in those)))
+            below.append(sorted({worker for c in entry.children for worker in below[c]}))
             home = min(below[k], key=memory.__getitem__)
         found.append(home)
         # Blocks of children stay until their parent has taken them in.

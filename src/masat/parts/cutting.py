@@ -148,8 +148,8 @@ class _Cut:
             edges=len(piece.edges),
             operations=system.elimination.operations(dof),
             memory=system.elimination.factor_bytes(dof) + 8 * blocks * dof * dof + measured,
-            # Contribution blocks on their way to the boundary lie on two stacks, each of which
-            # comes to hold a block of about the size of the boundary.
+            # The values at the boundary. Contribution blocks on their way to it lie on two stacks,
+            # each of which comes to hold a block of about its size.
             workspace=3 * 8 * at_boundary**2,
             message=8 * (at_boundary * (at_boundary + 1) // 2 + at_boundary),
         )

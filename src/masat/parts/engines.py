@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -26,7 +27,7 @@ class Engine(Protocol):
         """Return what stands for the `PieceFile` of each piece."""
 
     def release(self) -> None:
-        """Free what tasks hold in memory."""
+        """Free the systems of pieces, and the workspace of this thread."""
 
 
 class _Deferred:
@@ -84,7 +85,7 @@ class InTurn:
         return [_known(result) for result in results]
 
     def release(self) -> None:
-        """Free the systems of this process."""
+        """Free the systems of this process, and the workspace of this thread."""
         release(self._folder)
 
 
@@ -151,9 +152,11 @@ class OnCluster:
         return self._files
 
     def release(self) -> None:
-        """Free the systems of all workers that are left."""
+        """Free the systems of all workers that are left; their threads keep workspace."""
         self._files = None
-        self._client.run(release, _where(self._folder), on_error="ignore")
+        # What the solve ended with matters more than a cluster that is gone.
+        with suppress(Exception):
+            self._client.run(release, _where(self._folder), on_error="ignore")
 
     def _workers(self) -> list[str]:
         return sorted(self._client.scheduler_info(n_workers=-1)["workers"])

@@ -37,7 +37,8 @@ class Entry:
     memory : int
         Bytes of its system, its factor and its measurements in memory.
     workspace : int
-        Bytes of memory that a factorization takes besides, about. The pieces of a worker share it.
+        Bytes of memory that a factorization takes besides, about. The pieces that a thread
+        factorizes share it.
     message : int
         Bytes of the contribution block that it sends to its parent.
     """

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from masat import lie
+from masat import _core, lie
 from masat.arrays import Floats
 from masat.optimizers.equations import rounding_of
 from masat.parts.checkpoints import read_poses, write_poses
@@ -128,8 +128,9 @@ def hold(file: PieceFile) -> PieceFile:
 
 
 def release(folder: str) -> None:
-    """Free the systems of the pieces of a folder."""
+    """Free the systems of the pieces of a folder, and the workspace of this thread."""
     _WORKSPACES.release(folder)
+    _core.free_workspace()
 
 
 def linearize(file: PieceFile, poses: str, after: object = None) -> Linearization:
