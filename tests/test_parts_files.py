@@ -100,10 +100,7 @@ def test_a_partition_that_cannot_be_is_refused(tmp_path, options, message):
         masat.partition(CITY, tmp_path / "parts", **options)
 
 
-def test_a_folder_in_use_and_measurements_of_other_kinds_are_refused(tmp_path):
-    lever = masat.gps([5], [[1.0, 2.0]], 0.5, lever_arm=[0.1, 0.2])
-    with pytest.raises(PartitionError, match="cannot be cut into parts yet"):
-        masat.partition(CITY.with_priors(lever), tmp_path, 2)
+def test_a_folder_in_use_is_refused(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(PartitionError, match="is not empty"):
         masat.partition(CITY, tmp_path, 2)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from masat import _core, lie
-from masat.arrays import Floats, Ids
+from masat.arrays import Flags, Floats, Ids
 from masat.errors import GraphError
 
 if TYPE_CHECKING:
@@ -150,6 +150,22 @@ def measured_poses(seen: Landmarks) -> Floats:
         ahead = np.zeros((int(which.sum()), seen.dimension))
         ahead[:, 0] = seen.measurements[which, 0]
         out[which] = lie.compose(directions(seen.measurements[which]), as_poses(ahead))
+    return out
+
+
+def measurements_of(poses: Floats, range_bearing: Flags | None) -> Floats:
+    """Return observations, (l, 2) or (l, 3), from `measured_poses` of them."""
+    d = 2 if poses.shape[1] == 3 else 3
+    out = poses[:, :d].copy()
+    if range_bearing is None:
+        return out
+    ahead = lie.to_matrices(poses[range_bearing])[:, :d, 0]
+    seen = np.empty((len(ahead), d))
+    seen[:, 0] = (ahead * out[range_bearing]).sum(axis=1)
+    seen[:, 1] = np.arctan2(ahead[:, 1], ahead[:, 0])
+    if d == 3:
+        seen[:, 2] = np.arcsin(np.clip(ahead[:, 2], -1, 1))
+    out[range_bearing] = seen
     return out
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from masat import lie
-from masat.arrays import Floats, Ids, Indices
+from masat.arrays import AnyArray, Floats, Ids, Indices
 from masat.assembly import Assembly, assemble, needs_assembly
 from masat.determinacy import with_undetermined_kept
 from masat.errors import PartitionError
@@ -88,11 +89,6 @@ def _assembled(source: PoseGraph) -> tuple[Assembly, list[str]]:
     if source.poses is None or unplaced:
         source = initialize(source, "masat")
     assembly, notes = with_undetermined_kept(assemble(source))
-    if assembly.graph.offsets is not None or assembly.graph.range_bearing is not None:
-        raise PartitionError(
-            "a graph with lever arms, ranges or bearings cannot be cut into parts yet: solve it in "
-            "one process, or leave those measurements out"
-        )
     return assembly, notes
 
 
@@ -182,6 +178,8 @@ class _Cut:
             measurements=np.ascontiguousarray(graph.measurements[rows]),
             information=np.ascontiguousarray(graph.information[rows]),
             fixed_poses=self._fixed_poses(fixed),
+            offsets=_rows(graph.sensor_offsets, rows),
+            range_bearing=_rows(graph.range_bearing_edges, rows),
         )
         if separator:
             return piece, PieceSystem(piece)
@@ -200,7 +198,19 @@ class _Cut:
         return np.ascontiguousarray(graph.poses[nodes])
 
 
+def _rows(array: Any | None, rows: Ids) -> Any | None:
+    return None if array is None else np.ascontiguousarray(array[rows])
+
+
 def _hash(graph: PoseGraph) -> str:
     poses = np.empty(0) if graph.poses is None else graph.poses
-    arrays = (graph.ids, graph.edges, graph.measurements, graph.information, graph.fixed, poses)
+    arrays: list[AnyArray] = [
+        graph.ids,
+        graph.edges,
+        graph.measurements,
+        graph.information,
+        graph.fixed,
+        poses,
+    ]
+    arrays += [a for a in (graph.sensor_offsets, graph.range_bearing_edges) if a is not None]
     return hash_of(*(np.ascontiguousarray(a).data.cast("B") for a in arrays if a.size))

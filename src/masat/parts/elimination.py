@@ -200,7 +200,12 @@ class PieceSystem:
     def _equations(self) -> _core.NormalEquations:
         piece = self.piece
         return _core.NormalEquations(
-            self.topology, self.elimination, piece.measurements, piece.information
+            self.topology,
+            self.elimination,
+            piece.measurements,
+            piece.information,
+            offsets=piece.offsets,
+            range_bearing=piece.range_bearing,
         )
 
     def _all(self, poses: Floats) -> Floats:

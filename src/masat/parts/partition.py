@@ -187,7 +187,7 @@ def partition(
     ----------
     graph : PoseGraph
         A graph. With priors, landmarks or edges of partial information it gets an initial guess
-        here if it has none. Lever arms, ranges and bearings cannot be cut yet.
+        here if it has none.
     folder : path-like
         A folder that is empty, or is made.
     parts : int, optional

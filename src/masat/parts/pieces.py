@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from masat.arrays import Floats, Ids, Indices, LockedArrays
+from masat.arrays import Flags, Floats, Ids, Indices, LockedArrays
 from masat.errors import PartitionError
 from masat.files import DAMAGED, write_atomically
+
+_OPTIONAL = ("offsets", "range_bearing")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,6 +49,10 @@ class Piece(LockedArrays):
         As of a graph.
     fixed_poses : ndarray, (f, 3) or (f, 7)
         Poses of the fixed nodes.
+    offsets : ndarray, (m, 3) or (m, 7), or None
+        Poses of sensors, as of `AssembledGraph`.
+    range_bearing : ndarray of bool, (m,), or None
+        Which edges measure range and bearing, as of `AssembledGraph`.
     """
 
     ids: Ids
@@ -61,6 +67,8 @@ class Piece(LockedArrays):
     measurements: Floats
     information: Floats
     fixed_poses: Floats
+    offsets: Floats | None = None
+    range_bearing: Flags | None = None
 
     @property
     def own(self) -> int:
@@ -91,7 +99,8 @@ class Piece(LockedArrays):
 def write_piece(path: Path, piece: Piece, graph_hash: str) -> str:
     """Write a piece; return the hash of the file."""
     buffer = io.BytesIO()
-    arrays = {field.name: getattr(piece, field.name) for field in fields(piece)}
+    every = {field.name: getattr(piece, field.name) for field in fields(piece)}
+    arrays = {name: array for name, array in every.items() if array is not None}
     np.savez(buffer, graph=np.array(graph_hash), **arrays)
     data = buffer.getvalue()
     write_atomically(path, data)
@@ -116,7 +125,9 @@ def read_piece(path: Path, graph_hash: str, file_hash: str) -> Piece:
                 raise of_another_graph(path)
             if hash_of(data) != file_hash:
                 raise damaged(path)
-            return Piece(**{field.name: arrays[field.name] for field in fields(Piece)})
+            names = [field.name for field in fields(Piece)]
+            given = [name for name in names if name not in _OPTIONAL or name in arrays]
+            return Piece(**{name: arrays[name] for name in given})
     except (*DAMAGED, OSError) as error:
         if isinstance(error, PartitionError):
             raise

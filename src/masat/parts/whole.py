@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from masat.measurements.landmarks import Landmarks
 from masat.measurements.priors import Priors
 from masat.parts.index import Index
 from masat.parts.pieces import Piece
+from masat.residuals import measurements_of
 
 
 class Nodes(NamedTuple):
@@ -41,6 +42,7 @@ def nodes_of(index: Index, pieces: Iterable[tuple[Piece, Floats]]) -> Nodes:
 def graph_of(index: Index, pieces: Iterable[tuple[Piece, Floats]]) -> PoseGraph:
     """Return the graph that was cut, at these poses."""
     nodes, rows, edges, measurements, information, gauge = [], [], [], [], [], []
+    offsets, range_bearing = [], []
     for piece, poses in pieces:
         nodes.append(_own(index, piece, poses))
         rows.append(piece.rows)
@@ -48,6 +50,8 @@ def graph_of(index: Index, pieces: Iterable[tuple[Piece, Floats]]) -> PoseGraph:
         measurements.append(piece.measurements)
         information.append(piece.information)
         gauge.append(piece.ids[piece.own + piece.boundary :])
+        offsets.append(piece.offsets)
+        range_bearing.append(piece.range_bearing)
     order = np.argsort(np.concatenate(rows))
     pairs, z = np.concatenate(edges)[order], np.concatenate(measurements)[order]
     w = np.concatenate(information)[order]
@@ -56,11 +60,17 @@ def graph_of(index: Index, pieces: Iterable[tuple[Piece, Floats]]) -> PoseGraph:
     relative, absolute, seen = slice(index.edges), *_other_rows(index)[:2]
     priors = landmarks = None
     if index.priors:
-        priors = Priors(pairs[absolute, 1], z[absolute], w[absolute])
+        arms = _joined(offsets, order, absolute)
+        priors = Priors(pairs[absolute, 1], z[absolute], w[absolute], arms)
     if index.observations:
-        d = index.dimension
+        d, flags = index.dimension, _joined(range_bearing, order, seen)
         landmarks = Landmarks(
-            ids[is_point], poses[is_point, :d], pairs[seen], z[seen, :d], w[seen, :d, :d]
+            ids[is_point],
+            poses[is_point, :d],
+            pairs[seen],
+            measurements_of(z[seen], flags),
+            w[seen, :d, :d],
+            flags,
         )
     return PoseGraph.from_arrays(
         pairs[relative],
@@ -72,6 +82,12 @@ def graph_of(index: Index, pieces: Iterable[tuple[Piece, Floats]]) -> PoseGraph:
         priors=priors,
         landmarks=landmarks,
     )
+
+
+def _joined(arrays: list[Any | None], order: Ids, rows: slice) -> Any | None:
+    """Return some rows of what either all pieces have or none."""
+    given = [array for array in arrays if array is not None]
+    return np.concatenate(given)[order][rows] if len(given) == len(arrays) else None
 
 
 def _other_rows(index: Index) -> tuple[slice, slice, slice]:
