@@ -53,7 +53,7 @@ sanitize-threads: $(VENV)/.test
 	  -C cmake.define.MASAT_SANITIZE=thread -C cmake.define.CMAKE_COMPILE_WARNING_AS_ERROR=ON
 	TSAN_OPTIONS=exitcode=66 OPENBLAS_NUM_THREADS=1 \
 	LD_PRELOAD="$$($(CXX) -print-file-name=libtsan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
-	PYTHONPATH=build/sanitized-threads $(BIN)/python -m pytest -q tests/test_cholesky.py \
+	PYTHONPATH=build/sanitized-threads $(BIN)/python -m pytest -q -n auto tests/test_cholesky.py \
 	  tests/test_threads.py tests/test_covariance.py tests/test_online.py tests/test_online_stress.py -k "(same_bits and 2) or pivot or interrupted or no_more_threads or on_the_threads"
 
 # The view in Chromium, which has to be installed: apt-get install chromium.
