@@ -23,7 +23,9 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 PAGES = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "benchmarks/README.md"]
 ALL = sorted(page.relative_to(ROOT).as_posix() for page in ROOT.glob("docs/**/*.md"))
-REPORTS = [page for page in ALL if page.startswith(("docs/reports/", "docs/study/", "docs/spatial/"))]
+REPORTS = [
+    page for page in ALL if page.startswith(("docs/reports/", "docs/study/", "docs/spatial/"))
+]
 PAGES += [page for page in ALL if page not in REPORTS]
 
 

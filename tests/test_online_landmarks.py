@@ -228,6 +228,27 @@ def test_a_landmark_is_placed_by_the_part_that_determines_it():
     np.testing.assert_allclose(world.point(9), world.pose(10)[:2] + 1, atol=1e-6)
 
 
+def test_a_bearing_waits_if_what_placed_its_landmark_goes_at_the_same_time():
+    world = OnlineMap(2)
+    world.add_pose(0)
+    placed = world.add_observations(
+        masat.landmarks([(0, 9)], [(4.1, -0.35)], 1000 * np.eye(2), range_bearing=True)
+    )
+    world.update()
+    bearing = masat.range_bearing([(0, 9)], bearings=[-0.39], sigma_bearing=0.03)
+    waits = world.add_observations(bearing)
+    world.remove_edges(placed)
+    world.update()
+    assert world.waiting_observations.tolist() == waits.tolist()
+    assert world.chi2 == 0
+    if len(world.points):
+        assert np.abs(world.points).max() < 5
+    world.add_observations(masat.landmarks([(0, 9)], [(3, -1)], 1000 * np.eye(2)))
+    world.update()
+    assert len(world.waiting_observations) == 0
+    np.testing.assert_allclose(world.point(9), (3, -1), atol=0.2)
+
+
 def test_a_landmark_of_which_nothing_is_left_has_no_position():
     world = corridor()
     bearing = masat.range_bearing([(0, 9)], bearings=[0.1], sigma_bearing=0.01)

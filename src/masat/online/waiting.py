@@ -7,7 +7,14 @@ import numpy as np
 from masat import _core, lie
 from masat.arrays import AnyArray, Flags, Ids, Indices
 from masat.online.parts import motion_of_part, positions_of_landmarks, undetermined_rows
-from masat.online.sensor_rows import add_to_core, ends_of, places, record_of_rows, rows_of
+from masat.online.sensor_rows import (
+    add_to_core,
+    ends_of,
+    places,
+    record_of_rows,
+    rows_of,
+    with_rows,
+)
 from masat.residuals import as_poses
 
 # Growth of the number of measurements after which a part or a landmark is tried again.
@@ -125,12 +132,26 @@ class Waiting:
         ):
             keep = ~np.isin(contents[prefix], removed)
             contents |= {name: contents[name][keep] for name in {prefix, *names}}
+        added = self._added_within_parts(core, removed)
+        contents = with_rows(contents, np.concatenate([rows_of(contents), added]))
         taken = rows_of(contents)[undetermined_rows(contents)]
         if len(taken):
             core.remove_edges(np.array(taken["number"]))
             self._rows = np.concatenate([self._rows, taken])
             self._taken_out += len(taken)
             self._tried.clear()
+
+    def _added_within_parts(self, core: _core.OnlineMap, removed: Ids) -> AnyArray:
+        """Return the new rows that join nodes which are joined already."""
+        if not self._added:
+            return self._rows[:0]
+        added = np.concatenate(self._added)
+        added = added[~np.isin(added["number"], removed)]
+        ends, roots = ends_of(added, core), core.roots()
+        known = (ends < len(roots)).all(axis=1)
+        one, other = roots[ends[known]].T
+        within: AnyArray = added[known][one == other]
+        return within
 
     def commit(self, core: _core.OnlineMap) -> None:
         """Keep what the core has left out of its last update, and drop what was removed."""
