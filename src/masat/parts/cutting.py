@@ -88,8 +88,7 @@ def _assembled(source: PoseGraph) -> tuple[Assembly, list[str]]:
     unplaced = source.landmarks is not None and source.points is None
     if source.poses is None or unplaced:
         source = initialize(source, "masat")
-    assembly, notes = with_undetermined_kept(assemble(source))
-    return assembly, notes
+    return with_undetermined_kept(assemble(source))
 
 
 class _Cut:

@@ -36,7 +36,7 @@ class Nodes(NamedTuple):
 
 def nodes_of(index: Index, pieces: Iterable[tuple[Piece, Floats]]) -> Nodes:
     """Return the nodes of pieces at poses of their own nodes and of their boundary."""
-    return _once(index, [_own(index, piece, poses) for piece, poses in pieces])
+    return _once([_own(index, piece, poses) for piece, poses in pieces])
 
 
 def graph_of(index: Index, pieces: Iterable[tuple[Piece, Floats]]) -> PoseGraph:
@@ -55,14 +55,14 @@ def graph_of(index: Index, pieces: Iterable[tuple[Piece, Floats]]) -> PoseGraph:
     order = np.argsort(np.concatenate(rows))
     pairs, z = np.concatenate(edges)[order], np.concatenate(measurements)[order]
     w = np.concatenate(information)[order]
-    ids, poses, is_point = _once(index, nodes)
+    ids, poses, is_point = _once(nodes)
     fixed = np.unique(np.concatenate(gauge))
     relative, absolute, seen = slice(index.edges), *_other_rows(index)[:2]
     priors = landmarks = None
     if index.priors:
         arms = _joined(offsets, order, absolute)
         priors = Priors(pairs[absolute, 1], z[absolute], w[absolute], arms)
-    if index.observations:
+    if index.landmarks:
         d, flags = index.dimension, _joined(range_bearing, order, seen)
         landmarks = Landmarks(
             ids[is_point],
@@ -108,7 +108,7 @@ def _own(index: Index, piece: Piece, poses: Floats) -> Nodes:
     return Nodes(ids[kept], at[kept], np.isin(ids[kept], points))
 
 
-def _once(index: Index, nodes: list[Nodes]) -> Nodes:
+def _once(nodes: list[Nodes]) -> Nodes:
     """Return each node once: a fixed one is in several pieces."""
     ids = np.concatenate([own.ids for own in nodes])
     every, first = np.unique(ids, return_index=True)
