@@ -17,6 +17,7 @@
 #include "online/minimum_degree.hpp"
 #include "online/partial_tree.hpp"
 #include "sparse/aligned_buffer.hpp"
+#include "sparse/front_cost.hpp"
 #include "sparse/front_layout.hpp"
 #include "sparse/kernels.hpp"
 
@@ -67,8 +68,13 @@ class GrowingFactor {
     touched_flag_.resize(nodes, 0);
   }
 
-  // Marks a node whose blocks or neighbors change.
+  // Marks a node whose neighbors change, or that is to be ordered anew.
   void touch(std::int32_t node) {
+    touch_values(node);
+    orders_ = true;
+  }
+  // Marks a node whose blocks change.
+  void touch_values(std::int32_t node) {
     if (touched_flag_[node]) return;
     touched_flag_[node] = 1;
     touched_.push_back(node);
@@ -76,7 +82,8 @@ class GrowingFactor {
   bool anything_touched() const { return !touched_.empty(); }
 
   // Drops the fronts on the paths from the touched nodes to the roots. The nodes that they
-  // eliminated, and new ones, are `dropped()` until `eliminate` orders and eliminates them again.
+  // eliminated, and new ones, are `dropped()` until `eliminate` eliminates them again: in a new
+  // order, or in the same one if only values have changed.
   void drop(const Graph& graph);
   std::span<const std::int32_t> dropped() const { return dropped_; }
   bool is_dropped(std::int32_t node) const { return local_[node] >= 0; }
@@ -94,7 +101,10 @@ class GrowingFactor {
   std::int64_t refactored() const { return refactored_; }  // nodes, in all
 
  private:
+  void drop_paths(const Graph& graph);
+  double reopen_paths();
   void order(const Graph& graph);
+  void build_fronts();
   std::int32_t new_front(std::int32_t f);
   void compute(Graph& graph, OwnFront& front);
   void assemble(Graph& graph, OwnFront& front);
@@ -109,6 +119,7 @@ class GrowingFactor {
   std::vector<std::int32_t> unused_, newest_;
   std::vector<std::int32_t> front_of_, local_;  // of each node; local: among the dropped ones
   std::vector<char> touched_flag_;
+  bool orders_ = false;  // whether the dropped nodes are to be ordered
   std::vector<std::int32_t> touched_, dropped_, dropped_fronts_, boundary_, targets_, slots_,
       damped_;
   std::vector<Run> runs_;

@@ -5,6 +5,44 @@ namespace masat {
 
 template <LieGroup Group>
 void GrowingFactor<Group>::drop(const Graph& graph) {
+  // Nanoseconds of elimination a node from which on a new order is worth its time.
+  constexpr double kWorthOrdering = 2000;
+  if (!orders_) orders_ = reopen_paths() > kWorthOrdering * static_cast<double>(dropped_.size());
+  if (orders_) drop_paths(graph);
+  touched_.clear();
+}
+
+// Leaves the fronts on the paths as they are until `eliminate` computes them again, children before
+// parents, and returns how long that takes, in nanoseconds.
+template <LieGroup Group>
+double GrowingFactor<Group>::reopen_paths() {
+  double cost = 0;
+  ++elimination_;
+  newest_.clear();
+  for (const std::int32_t node : touched_) {
+    touched_flag_[node] = 0;
+    for (std::int32_t f = front_of_[node]; f >= 0 && !is_newest(f); f = fronts_[f].parent) {
+      fronts_[f].made = elimination_;
+      if (fronts_[f].parent < 0) newest_.push_back(f);
+    }
+  }
+  for (std::size_t k = 0; k < newest_.size(); ++k) {
+    const OwnFront& front = fronts_[newest_[k]];
+    cost += front_cost({front.pivots, static_cast<std::int32_t>(front.rows().size())}, kDof);
+    for (std::int32_t p = 0; p < front.pivots; ++p) {
+      local_[front.nodes[p]] = 0;
+      dropped_.push_back(front.nodes[p]);
+    }
+    for (const std::int32_t c : front.children) {
+      if (is_newest(c)) newest_.push_back(c);
+    }
+  }
+  std::reverse(newest_.begin(), newest_.end());
+  return cost;
+}
+
+template <LieGroup Group>
+void GrowingFactor<Group>::drop_paths(const Graph& graph) {
   dropped_fronts_.clear();
   const auto add = [&](std::int32_t node) {
     if (local_[node] >= 0) return;
@@ -26,7 +64,6 @@ void GrowingFactor<Group>::drop(const Graph& graph) {
     }
     if (graph.is_free(node)) add(node);
   }
-  touched_.clear();
   boundary_.clear();
   for (const std::int32_t f : dropped_fronts_) {
     for (const std::int32_t c : fronts_[f].children) {
@@ -87,7 +124,20 @@ std::int64_t GrowingFactor<Group>::fill_of_fresh_order(const Graph& graph) {
 
 template <LieGroup Group>
 void GrowingFactor<Group>::eliminate(Graph& graph) {
-  order(graph);
+  if (orders_) {
+    order(graph);
+    build_fronts();
+    orders_ = false;
+  }
+  // From here on `local_` is the block of a node in the front that is computed.
+  for (const std::int32_t node : dropped_) local_[node] = -1;
+  refactored_ += static_cast<std::int64_t>(dropped_.size());
+  dropped_.clear();
+  for (const std::int32_t f : newest_) compute(graph, fronts_[f]);
+}
+
+template <LieGroup Group>
+void GrowingFactor<Group>::build_fronts() {
   newest_.clear();
   ++elimination_;
   for (std::int32_t f = 0; f < tree_.fronts(); ++f) newest_.push_back(new_front(f));
@@ -101,11 +151,6 @@ void GrowingFactor<Group>::eliminate(Graph& graph) {
     fronts_[boundary_[e]].parent = parent;
     fronts_[parent].children.push_back(boundary_[e]);
   }
-  // From here on `local_` is the block of a node in the front that is computed.
-  for (const std::int32_t node : dropped_) local_[node] = -1;
-  refactored_ += static_cast<std::int64_t>(dropped_.size());
-  dropped_.clear();
-  for (const std::int32_t f : newest_) compute(graph, fronts_[f]);
 }
 
 template <LieGroup Group>

@@ -73,8 +73,8 @@ class Relinearization {
           graph.linearize(slot);
           graph.evaluate(slot);
           const auto& e = graph.edge(slot);
-          factor.touch(e.from);
-          factor.touch(e.to);
+          factor.touch_values(e.from);
+          factor.touch_values(e.to);
           if (e.neglected <= least_) continue;
           add(graph, e.from);
           add(graph, e.to);
