@@ -12,7 +12,7 @@ from masat.optimality import relaxation
 from masat.optimality import search as searching
 from masat.optimality.relaxation import Relaxation, lift
 from masat.optimality.search import lower_minimum
-from masat.optimality.subgraphs import connected_parts, neighborhood, subgraph
+from masat.optimality.subgraphs import connected_parts, neighborhood, subgraph, whole
 from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
 from masat.study.names import Case
@@ -51,11 +51,15 @@ def test_the_neighborhood_in_a_chain():
     assert np.flatnonzero(neighborhood(chain, mask(10, [0, 7]), 2)).tolist() == [
         *(0, 1, 2, 5, 6, 7, 8, 9)
     ]
-    part, inside = subgraph(chain, np.arange(30.0).reshape(10, 3), mask(10, [4, 5]))
-    assert part.ids.tolist() == [3, 4, 5, 6]
-    assert part.fixed.tolist() == [3, 6]
-    assert inside.tolist() == [False, True, True, False]
-    assert part.poses[:, 0].tolist() == [9, 12, 15, 18]
+    part = subgraph(chain, np.arange(30.0).reshape(10, 3), mask(10, [4, 5]))
+    assert part.graph.ids.tolist() == part.nodes.tolist() == [3, 4, 5, 6]
+    assert part.graph.fixed.tolist() == [3, 6]
+    assert part.edges.tolist() == [3, 4, 5]
+    assert part.inside.tolist() == [False, True, True, False]
+    assert part.graph.poses[:, 0].tolist() == [9, 12, 15, 18]
+    everything = whole(chain, np.arange(30.0).reshape(10, 3))
+    assert np.flatnonzero(~everything.inside).tolist() == [0]
+    assert everything.edges.tolist() == list(range(9))
 
 
 def test_nodes_without_edges_have_no_neighbors():

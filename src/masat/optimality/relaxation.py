@@ -30,8 +30,8 @@ _POLISHING_STEPS = 60
 _LIFTED_RANK = 4
 _NOISE = 0.3
 # A step at the higher rank that promises less than this fraction of the cost is the last one
-# before poses are rounded.
-_LIFTED_DECREASE = 1e-5
+# before poses are rounded. Fewer steps leave poses from which as many lower minima are found.
+_LIFTED_DECREASE = 1e-3
 # Bytes of a factor that a higher rank may take.
 _MAX_FACTOR_BYTES = 4e9
 

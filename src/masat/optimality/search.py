@@ -35,14 +35,19 @@ from masat.optimality.trials import (
 from masat.optimizers import Result, optimize
 from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
+from masat.residuals import chi2_per_edge
 
 # Minima whose chi2 differs by a smaller fraction are taken to be the same.
 _SAME_MINIMUM = 1e-6
 # Edges from a node where the certificate fails, and from an edge of an ambiguous cycle, within
 # which nodes are lifted.
 _NODE_REACH, _EDGE_REACH = 6, 3
-# A residual that changed by a smaller fraction of itself is the same as before.
-_SAME_RESIDUAL = 0.02
+# A residual, or the chi2 of some edges, that changed by a smaller fraction of itself is the same as
+# before.
+_SAME_RESIDUAL, _SAME_CHI2 = 0.02, 1e-3
+# Edges of a cycle from which on its residuals depend on the positions as much as on the rotations,
+# so that a shift either way may pay.
+_SOFT = 10
 # Cycles tried at the most: the first divided by the number of nodes, but at least the second.
 _CYCLE_WORK, _MIN_CYCLES = 1_000_000, 10
 # Edges from the ends of a string within which nodes are free; strings that may fail one after the
@@ -51,8 +56,6 @@ _STRING_REACH, _MAX_FAILURES, _STRING_TOLERANCE = 6, 40, 1e-5
 # Strings after which chi2 that is nearly as low is optimized no further.
 _FIRST = 10
 _MAX_ROUNDS = 20
-# Sets of nodes that have more than this fraction in common are lifted once.
-_SAME_NODES = 0.8
 # Bytes of a factor up to which all nodes are lifted at once: some seconds on one core.
 _MAX_LIFTED_BYTES = 3e8
 # Iterations of Gauss-Newton to the exact minimum, and of the safer and slower dogleg.
@@ -87,7 +90,7 @@ def lower_minimum(
     equations : NormalEquations, optional
         Those of the graph, to be used again.
     lift_all : bool
-        Whether all nodes are lifted even if no ambiguous cycle rotates most of them.
+        Whether all nodes are lifted where nothing else lowers chi2.
     others : sequence of ndarray, (n, 3) or (n, 7)
         Poses at other minima, whose better parts are taken (`splices.py`) before anything is
         lifted or shifted.
@@ -112,7 +115,8 @@ def lower_minimum(
             lower = search.at_differences(search.others)
             lower = lower or (graph.dimension == 3 and search.at_strings())
             lower = lower or search.at_uncertified_nodes() or search.at_cycles()
-            if progress.over or not (lower or search.at_all_nodes(lift_all)):
+            lower = lower or (lift_all and search.at_all_nodes())
+            if progress.over or not lower:
                 break
             search.lowest.converge()
     except KeyboardInterrupt:
@@ -144,8 +148,8 @@ class _Search:
         self._progress = progress
         self._relaxation = Relaxation(graph)
         self._cycles = AmbiguousCycles(graph)
-        self._most_rotate = False
-        self._lifts_in_vain: list[tuple[float, Flags]] = []
+        # With the chi2 of the edges around them.
+        self._lifts_in_vain: list[tuple[Flags, float]] = []
         self._refused: dict[tuple[tuple[int, float], ...], Floats] = {}
         self._cycles_left = max(_MIN_CYCLES, _CYCLE_WORK // len(graph.ids))
 
@@ -174,22 +178,19 @@ class _Search:
         around[graph.index(graph.gauge)] = False
         parts = list(connected_parts(graph, around))
         self._progress.tell(f"searching in {len(parts)} uncertified parts", self.chi2)
-        return sum(self.lowest.attempt(part, self._lift) for part in parts) > 0
+        return sum(self._lift_if_new(part) for part in parts) > 0
 
     def at_cycles(self) -> bool:
         """Shift the ambiguous cycles by 2 pi; return whether that lowered chi2."""
         cycles = list(islice(self._cycles.at(self.poses), self._cycles_left))
         long = [cycle for cycle in cycles if len(cycle.edges) >= LONG]
+        soft = [cycle for cycle in cycles if len(cycle.edges) >= _SOFT]
         moves = [[(cycle, 0.0)] for cycle in long]
-        moves += [[(cycle, -1.0)] for cycle in cycles] + [[(cycle, 1.0)] for cycle in long]
+        moves += [[(cycle, -1.0)] for cycle in cycles] + [[(cycle, 1.0)] for cycle in soft]
         for one, other in self._cycles.pairs(cycles):
             moves.append([(one, -1.0), (other, -1.0)])
             if len(one.edges) >= LONG and len(other.edges) >= LONG:
                 moves += [[(one, -1.0), (other, 1.0)], [(one, 1.0), (other, -1.0)]]
-        half = len(self.poses) / 2
-        self._most_rotate = any(
-            np.count_nonzero(rotating_nodes(self._relative(c))) > half for c in cycles
-        )
         changed: set[int] = set()
         for shifts in moves:
             edges = {cycle.edge for cycle, _ in shifts}
@@ -213,24 +214,25 @@ class _Search:
             own = np.array([cycle.edge for cycle, _ in shifts])
             by = np.array([2 * np.pi * sign * cycle.axis for cycle, sign in shifts])
             trials: list[Trial] = [self._shift(own, by, cut) for cut in cuts]
-            if self._graph.dimension == 3 and not self._lifted_in_vain(where):
-                trials.append(self._lift)
-            if any(self.lowest.attempt(where, trial) for trial in trials):
+            if any(self.lowest.attempt(where, trial) for trial in trials) or (
+                self._graph.dimension == 3 and self._lift_if_new(where)
+            ):
                 changed |= edges
             else:
                 self._refused[key] = signed
-                if self._lift in trials:
-                    self._lifts_in_vain.append((self.chi2, where))
         return len(changed) > 0
 
-    def _lifted_in_vain(self, nodes: Flags) -> bool:
-        """Whether nearly the same nodes were lifted at the same minimum, and chi2 did not fall."""
-        for chi2, there in self._lifts_in_vain:
-            both = np.count_nonzero(nodes & there)
-            if self.chi2 >= chi2 * (1 - LOWER) and both > _SAME_NODES * np.count_nonzero(
-                nodes | there
-            ):
-                return True
+    def _lift_if_new(self, nodes: Flags) -> bool:
+        """Lift nodes unless all were lifted in vain and nothing has changed there since."""
+        chi2 = chi2_per_edge(self._graph, self.poses)
+        for there, before in self._lifts_in_vain:
+            now = float(chi2[self._graph.topology.incident_edges(there)].sum())
+            if abs(now - before) <= _SAME_CHI2 * before and not (nodes & ~there).any():
+                return False
+        if self.lowest.attempt(nodes, self._lift):
+            return True
+        own = self._graph.topology.incident_edges(nodes)
+        self._lifts_in_vain.append((nodes, float(chi2[own].sum())))
         return False
 
     def at_strings(self) -> bool:
@@ -296,13 +298,13 @@ class _Search:
                     other.refuse(part, self._graph, self.poses)
         return self.chi2 < first * (1 - LOWER)
 
-    def at_all_nodes(self, always: bool) -> bool:
-        """Lift all nodes where that may help and memory allows it; return whether it lowered chi2.
+    def at_all_nodes(self) -> bool:
+        """Lift all nodes where memory allows it; return whether that lowered chi2.
 
         Parts of the graph that are each at their own minimum may be wrong together.
         """
         small = self._relaxation.lifted_bytes() <= _MAX_LIFTED_BYTES
-        if not small or not (always or self._most_rotate) or self._progress.over:
+        if not small or self._progress.over:
             return False
         self._progress.tell("lifting all nodes", self.chi2)
         nodes = np.ones(len(self.poses), np.bool_)
@@ -327,7 +329,6 @@ class _Search:
     def _shift(self, edges: Indices, vectors: Floats, cut: int | None) -> Trial:
         return partial(
             shifted_along,
-            whole=self._graph,
             shifted_edges=edges,
             vectors=vectors,
             cut=cut,

@@ -93,9 +93,9 @@ def spliced(part: Subgraph, other: Floats) -> Floats:
     other : ndarray, (n, 3) or (n, 7)
         The other minimum's poses of all nodes of the whole graph.
     """
-    graph, inside = part
+    graph, inside = part.graph, part.inside
     assert graph.poses is not None
-    theirs = other[graph.ids]
+    theirs = other[part.nodes]
     out = graph.poses.copy()
     border = np.flatnonzero(~inside)
     if len(border) == 0:

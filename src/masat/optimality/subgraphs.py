@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from masat import _core
-from masat.arrays import Flags, Floats
+from masat.arrays import Flags, Floats, Ids
 from masat.graph import PoseGraph
 
 
@@ -18,12 +18,18 @@ class Subgraph(NamedTuple):
     Attributes
     ----------
     graph : PoseGraph
-        Its ids are the indices of its nodes, k of them, in the whole graph.
+        The graph of these nodes, k of them.
+    nodes : ndarray of int, (k,)
+        Their indices in the whole graph.
+    edges : ndarray of int, (l,)
+        The indices of its edges there, in ascending order.
     inside : ndarray of bool, (k,)
-        Which of its nodes are free.
+        Which nodes are free.
     """
 
     graph: PoseGraph
+    nodes: Ids
+    edges: Ids
     inside: Flags
 
 
@@ -53,8 +59,19 @@ def subgraph(graph: PoseGraph, poses: Floats, inside: Flags) -> Subgraph:
             fixed=nodes[~inside[nodes]],
             **more,
         ),
+        nodes,
+        edges,
         inside[nodes],
     )
+
+
+def whole(graph: PoseGraph, poses: Floats) -> Subgraph:
+    """Return the whole graph at some poses, with its gauge fixed."""
+    inside = np.ones(len(poses), np.bool_)
+    inside[graph.index(graph.gauge)] = False
+    nodes = np.arange(len(poses), dtype=np.int64)
+    edges = np.arange(len(graph.edges), dtype=np.int64)
+    return Subgraph(graph.with_poses(poses), nodes, edges, inside)
 
 
 def without_edges(graph: PoseGraph, edges: Flags) -> PoseGraph:

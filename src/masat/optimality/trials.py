@@ -13,7 +13,7 @@ from masat.graph import PoseGraph
 from masat.optimality.cycles import shifted
 from masat.optimality.relaxation import lift
 from masat.optimality.splices import same_poses, spliced
-from masat.optimality.subgraphs import Subgraph, subgraph, without_edges
+from masat.optimality.subgraphs import Subgraph, subgraph, whole, without_edges
 from masat.optimizers import Iteration, Result, optimize
 from masat.optimizers.translations import solve_translations
 from masat.progress import Progress
@@ -97,7 +97,9 @@ class LowestMinimum:
         nodes[self._fixed] = False
         if self._progress.over or not nodes.any():
             return False
-        part = subgraph(graph, before, nodes)
+        # The order of elimination of the whole graph is known, that of a large part is not.
+        most = np.count_nonzero(nodes) > len(nodes) / 2
+        part = whole(graph, before) if most else subgraph(graph, before, nodes)
         try:
             result = trial(part)
         except (InitializationError, OptimizationError):
@@ -105,12 +107,13 @@ class LowestMinimum:
             return False
         if not np.isfinite(result.chi2):
             return False
-        indices = part.graph.ids[part.inside]
+        indices = part.nodes[part.inside]
         poses = before.copy()
         poses[indices] = result.poses[part.inside]
         if same_poses(before[indices], poses[indices]):
             return False
-        self._put_back(poses, nodes)
+        if not most:
+            self._put_back(poses, nodes)
         chi2 = self.chi2 + result.chi2 - part.graph.chi2
         lower = self.chi2 * (1 - LOWER)
         if lower <= chi2 < self.chi2 + nearly * self.unit:
@@ -161,7 +164,8 @@ def lifted(part: Subgraph, seed: int, nearly: float) -> Result:
     """
     initial = part.graph.with_poses(lift(part.graph, seed=seed))
     low_enough = part.graph.chi2 + nearly
-    # Rounded poses lie between minima: one method may end in a lower one than the other.
+    # Rounded poses lie between minima: in 3D one method may end in a lower one than the other.
+    methods = ("dogleg",) if part.graph.dimension == 2 else ("dogleg", "levenberg_marquardt")
     return min(
         (
             optimize(
@@ -171,7 +175,7 @@ def lifted(part: Subgraph, seed: int, nearly: float) -> Result:
                 max_iterations=_LIFT_ITERATIONS,
                 report=_StopIfHopeless(low_enough, _LIFT_ITERATIONS),
             )
-            for method in ("dogleg", "levenberg_marquardt")
+            for method in methods
         ),
         key=lambda result: result.chi2,
     )
@@ -190,7 +194,6 @@ def spliced_in(part: Subgraph, other: Floats, nearly: float) -> Result:
 
 def shifted_along(
     part: Subgraph,
-    whole: PoseGraph,
     shifted_edges: Indices,
     vectors: Floats,
     cut: int | None,
@@ -202,8 +205,6 @@ def shifted_along(
     ----------
     part : Subgraph
         The part.
-    whole : PoseGraph
-        The graph that it is a part of.
     shifted_edges : ndarray of int, (k,)
         Indices of the edges, in the whole graph, whose rotation residuals are shifted.
     vectors : ndarray, (k, 1) or (k, 3)
@@ -213,14 +214,11 @@ def shifted_along(
     nearly : float
         As of `lifted`.
     """
-    graph, inside = part
-    nodes = np.zeros(len(whole.ids), np.bool_)
-    nodes[graph.ids[inside]] = True
-    edges = whole.topology.incident_edges(nodes)
-    by = np.zeros((len(edges), vectors.shape[1]))
-    by[np.searchsorted(edges, shifted_edges)] = vectors
+    graph = part.graph
+    by = np.zeros((len(graph.edges), vectors.shape[1]))
+    by[np.searchsorted(part.edges, shifted_edges)] = vectors
     turned = shifted(graph, by)
-    loose = graph if cut is None else without_edges(graph, edges == cut)
+    loose = graph if cut is None else without_edges(graph, part.edges == cut)
     return optimize(
         graph.with_poses(solve_translations(loose, turned)),
         "dogleg",

@@ -43,13 +43,17 @@ def dogleg(
         if failed >= 0:
             return Outcome(poses, chi2, StopReason.SINGULAR, failed)
         scale = np.sqrt(equations.diagonal())
-        newton, cauchy, h_cauchy = _corners(equations, rhs, scale)
+        newton = equations.solve()
         farthest = length(scale * newton)
+        fraction, step, bent = 1.0, newton, rhs  # H newton = rhs
+        steepest = None
         while True:
-            fraction, bend = _path(scale * newton, scale * cauchy, radius)
-            step = fraction * newton + bend * cauchy
-            # H newton = rhs: the model needs no product of its own.
-            bent = fraction * rhs + bend * h_cauchy
+            if farthest > radius:
+                steepest = steepest or _steepest_descent(equations, rhs, scale)
+                cauchy, h_cauchy = steepest
+                fraction, bend = _path(scale * newton, scale * cauchy, radius)
+                step = fraction * newton + bend * cauchy
+                bent = fraction * rhs + bend * h_cauchy
             predicted = float((step * (2 * rhs - bent)).sum())
             moved = equations.retract(poses, step)
             after = equations.chi2(moved)
@@ -77,19 +81,20 @@ def dogleg(
     return Outcome(poses, chi2, StopReason.MAX_ITERATIONS)
 
 
-def _corners(equations: Equations, rhs: Floats, scale: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the Gauss-Newton step, the best step of steepest descent, and H times the latter."""
+def _steepest_descent(equations: Equations, rhs: Floats, scale: Floats) -> tuple[Floats, Floats]:
+    """Return the best step of steepest descent, and H times it."""
     down = rhs / scale**2
     curved = equations.multiply(down)
     curvature = float((down * curved).sum())
     best = float((rhs * down).sum()) / curvature if curvature > 0 else 0.0
-    return equations.solve(), best * down, best * curved
+    return best * down, best * curved
 
 
 def _path(newton: Floats, cauchy: Floats, radius: float) -> tuple[float, float]:
-    """Return the fractions of the two steps at the point where the dogleg leaves the region."""
-    if length(newton) <= radius:
-        return 1.0, 0.0
+    """Return the fractions of the two steps at the point where the dogleg leaves the region.
+
+    The Gauss-Newton step is too long for the region.
+    """
     reach = length(cauchy)
     if reach >= radius:
         return 0.0, radius / reach
