@@ -178,17 +178,18 @@ class Arrivals:
                 closures.append(k)
         if not closures:
             return
-        core.remove_edges(numbers[closures])
-        rows = np.zeros(len(closures), self._rows.dtype)
-        rows["number"], rows["ids"] = numbers[closures], ids[closures]
-        rows["ends"] = [[core.find(a), core.find(b)] for a, b in ids[closures].tolist()]
-        rows["measurement"], rows["information"] = measurements[closures], information[closures]
-        rows["distance"] = rows["log_ratio"] = np.nan
-        self._unjudged += self._append(rows)
+        if len(closures) < len(ids):
+            numbers, ids = numbers[closures], ids[closures]
+            measurements, information = measurements[closures], information[closures]
+        core.remove_edges(numbers)
+        self._unjudged += self._append(core, numbers, ids, measurements, information, _NEW)
 
     def restore(self, core: _core.OnlineMap, contents: dict[str, Any], rows: AnyArray) -> None:
         """Take over the closures of a file, with the contents of the map that it holds."""
-        self._append(rows)
+        self._make_room(len(rows))
+        self._rows[: len(rows)] = rows
+        self._row_of = dict(zip(rows["number"].tolist(), range(len(rows)), strict=True))
+        self._count = len(rows)
         self._count_again()
         state = rows["state"]
         self._apart = np.flatnonzero(state == _APART).tolist()
@@ -203,28 +204,38 @@ class Arrivals:
 
     def release(self, rows: dict[str, AnyArray], core: _core.OnlineMap) -> None:
         """Take edges that were trusted as closures that are not believed."""
-        numbers, ids = rows["edge_numbers"], rows["edges"]
-        new = np.zeros(len(numbers), self._rows.dtype)
-        new["number"], new["ids"] = numbers, ids
-        new["ends"] = np.reshape([[core.find(a), core.find(b)] for a, b in ids.tolist()], (-1, 2))
-        new["measurement"], new["information"] = rows["measurements"], rows["information"]
-        new["state"] = _RELEASED
-        new["distance"] = new["log_ratio"] = np.nan
-        self._append(new)
+        measured = rows["measurements"], rows["information"]
+        self._append(core, rows["edge_numbers"], rows["edges"], *measured, _RELEASED)
         self._count_again()
 
-    def _append(self, rows: AnyArray) -> list[int]:
-        """Append rows, and return their indices."""
-        first, self._count = self._count, self._count + len(rows)
-        if self._count > len(self._rows):
-            larger = np.zeros(2 * self._count, self._rows.dtype)
-            larger[:first] = self._rows[:first]
+    def _append(
+        self,
+        core: _core.OnlineMap,
+        numbers: Ids,
+        ids: Ids,
+        measurements: Floats,
+        information: Floats,
+        state: int,
+    ) -> range:
+        """Append closures, and return their rows."""
+        first, count = self._count, len(numbers)
+        self._make_room(first + count)
+        new = self._rows[first : first + count]
+        new["number"], new["ids"], new["state"] = numbers, ids, state
+        new["ends"] = np.reshape([*map(core.find, ids.ravel().tolist())], (-1, 2))
+        new["measurement"], new["information"] = measurements, information
+        new["distance"] = new["log_ratio"] = np.nan
+        indices = range(first, first + count)
+        self._row_of.update(zip(numbers.tolist(), indices, strict=True))
+        self._count += count
+        self.doubted += count
+        return indices
+
+    def _make_room(self, count: int) -> None:
+        if count > len(self._rows):
+            larger = np.zeros(2 * count, self._rows.dtype)
+            larger[: self._count] = self._rows[: self._count]
             self._rows = larger
-        self._rows[first : self._count] = rows
-        indices = range(first, self._count)
-        self._row_of.update(zip(rows["number"].tolist(), indices, strict=True))
-        self.doubted += len(rows)
-        return list(indices)
 
     def _count_again(self) -> None:
         self._kept = int(np.count_nonzero(self.kept))
@@ -277,14 +288,14 @@ class Arrivals:
 
     def judge(self, core: _core.OnlineMap) -> AnyArray:
         """Judge the new closures, and return the rows of those that are now believed."""
-        new = [row for row in self._unjudged if self._rows["state"][row] == _NEW]
+        state = self._rows["state"]
+        new = [row for row in self._unjudged if state[row] == _NEW]
         self._unjudged.clear()
         new += self._connected_now(core)
         if not new:
             return self._rows[:0]
         rows = np.array(new)
         believed = self._predicted(rows, core)
-        state = self._rows["state"]
         self._apart += rows[state[rows] == _APART].tolist()
         undecided = rows[~believed & (state[rows] == _OPEN)]
         if len(undecided):
@@ -346,8 +357,8 @@ class Arrivals:
             return []
         one, other = core.roots()[self._rows["ends"][self._apart]].T
         joined = (one == other).tolist()
-        found = [row for row, is_joined in zip(self._apart, joined, strict=True) if is_joined]
-        self._apart = [row for row in self._apart if row not in found]
+        found = [row for row, now in zip(self._apart, joined, strict=True) if now]
+        self._apart = [row for row, now in zip(self._apart, joined, strict=True) if not now]
         return found
 
     def _predicted(self, rows: Ids, core: _core.OnlineMap, needed: float | None = None) -> Flags:
