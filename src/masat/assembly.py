@@ -9,6 +9,7 @@ determines is kept at the initial guess by further edges from the world (`determ
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -76,17 +77,17 @@ class Assembly:
         """Index of the world among the nodes."""
         return len(self.graph.ids) - 1
 
-    @property
+    @cached_property
     def poses_at(self) -> Ids:
         """Indices of the source's poses among the nodes, (n,)."""
         return np.searchsorted(self.graph.ids, self.source.ids)
 
-    @property
+    @cached_property
     def points_at(self) -> Ids:
         """Indices of the landmarks among the nodes, (k,)."""
         return np.searchsorted(self.graph.ids, self.source.point_ids)
 
-    @property
+    @cached_property
     def is_point(self) -> Flags:
         """Which nodes are landmarks, (n + k + 1,)."""
         out = np.zeros(len(self.graph.ids), np.bool_)

@@ -78,12 +78,16 @@ def body_of_each_node(assembly: Assembly) -> Indices:
     """Return the body of each node: what edges of full information join, the world apart."""
     relative = assembly.graph.relative
     assert relative is not None
-    # Landmarks and the world are bodies of their own.
-    bodies = np.arange(len(assembly.graph.ids), dtype=np.int32)
-    at = assembly.poses_at
-    _, first = np.unique(relative.structure.components, return_index=True)
-    bodies[at] = at[first[relative.structure.components]]
-    return np.unique(bodies, return_inverse=True)[1].astype(np.int32)
+    # Landmarks and the world are bodies of their own. Each body is named by its first node first.
+    named = np.arange(len(assembly.graph.ids))
+    at, components = assembly.poses_at, relative.structure.components
+    first = np.empty(int(components.max(initial=-1)) + 1, np.int64)
+    first[components[::-1]] = np.arange(len(components))[::-1]
+    named[at] = at[first[components]]
+    is_name = np.zeros(len(named), np.bool_)
+    is_name[named] = True
+    bodies: Indices = (np.cumsum(is_name) - 1)[named].astype(np.int32)
+    return bodies
 
 
 def degrees_of_freedom(graph: PoseGraph) -> int:
