@@ -13,8 +13,8 @@ from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimality.bounds import looks_global
 from masat.optimality.cycles import AmbiguousCycles, rotation_residuals, rotation_weight
-from masat.optimality.relaxation import Relaxation
-from masat.optimality.search import lower_minimum
+from masat.optimality.relaxation import Relaxation, lift
+from masat.optimality.search import MAX_LIFTED_BYTES, lower_minimum
 from masat.optimizers import Iteration, Result, optimize
 from masat.optimizers.equations import normal_equations
 from masat.outliers import cannot_be_right, describe_outliers
@@ -76,10 +76,10 @@ def best_minimum(
 ) -> Minimum:
     """Optimize a guess, check whether the minimum looks global, and search on where it does not.
 
-    Gauss-Newton leads to a first minimum, or the dogleg method where that takes many iterations.
-    If the certificate of the chordal cost fails there by little, or chi2 itself is certified, the
-    search ends. If not, `lower_minimum` searches around the doubtful parts. Where the first minimum
-    took many iterations, all nodes are lifted, too.
+    Gauss-Newton leads to a first minimum, or the dogleg method where that takes many iterations, in
+    2D after all nodes have been lifted to a higher rank and rounded back. If the certificate of the
+    chordal cost fails by little, or chi2 itself is certified, the search ends. If not,
+    `lower_minimum` searches around the doubtful parts.
 
     In 3D the search also takes parts of the minima near other initial guesses, `starts`.
 
@@ -118,7 +118,7 @@ def best_minimum(
         ):
             return _without_search(guess, progress)
         is_small = _search_operations(guess) <= _AFFORDABLE
-        near, soon = _first_minimum(guess, equations, progress, stop_if_wrong=not is_small)
+        near = _first_minimum(guess, seed, equations, progress, stop_if_wrong=not is_small)
         is_wrong = not progress.over and cannot_be_right(near.graph, near.chi2)
         minima = [near]
         if is_wrong:
@@ -145,7 +145,6 @@ def best_minimum(
                 seed=seed,
                 progress=progress,
                 equations=equations,
-                lift_all=not soon,
                 others=[minimum.poses for minimum in minima[1:]],
             )
         except KeyboardInterrupt:
@@ -239,26 +238,35 @@ def _minima(
 
 def _first_minimum(
     guess: PoseGraph,
+    seed: int,
     equations: _core.NormalEquations,
     progress: Progress,
     stop_if_wrong: bool,
-) -> tuple[Result, bool]:
-    """Return the minimum near a guess, and whether few iterations led there."""
+) -> Result:
+    """Return a minimum near a guess, in 2D with all nodes lifted if few iterations find none."""
     run = partial(
-        optimize,
-        guess,
-        relative_tolerance=_FIRST_TOLERANCE,
-        equations=equations,
-        progress=progress,
+        optimize, relative_tolerance=_FIRST_TOLERANCE, equations=equations, progress=progress
     )
     progress.tell("optimizing the chordal guess")
     watch = None
     if stop_if_wrong:
         watch = _StopIfWrong(guess, equations.chi2(_poses(guess)))
-    quick = run("gauss_newton", max_iterations=_FEW_ITERATIONS, report=watch)
+    quick = run(guess, "gauss_newton", max_iterations=_FEW_ITERATIONS, report=watch)
     if quick.converged or progress.over or (watch is not None and watch.is_wrong):
-        return quick, True
-    return run("dogleg"), False
+        return quick
+    start = guess
+    # In 3D it is the search that needs parts of many minima, and lifts all nodes at its end.
+    if guess.dimension == 2 and Relaxation(guess).lifted_bytes() <= MAX_LIFTED_BYTES:
+        progress.tell("lifting all nodes")
+        try:
+            start = guess.with_poses(lift(guess, seed=seed))
+        except InitializationError:
+            # The chordal problem may leave open what chi2 determines.
+            pass
+        except KeyboardInterrupt:
+            progress.interrupt()
+            return quick
+    return run(start, "dogleg")
 
 
 class _StopIfWrong:

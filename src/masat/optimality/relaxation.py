@@ -19,8 +19,9 @@ from masat.optimizers.translations import solve_translations
 
 # How far below zero, as a fraction of the median weight of a rotation, the certificate's
 # eigenvalues may lie at a minimum that looks global: at 0.1 m and rad of noise those of the study's
-# global minima mostly lie within the first. Beyond the second they mark where minima differ.
-_PLAUSIBLE, _UNCERTIFIED = 5e-4, 0.02
+# global minima mostly lie within the first. Beyond the second they mark where minima differ; beyond
+# the third, at 0.35 m and rad of noise, none of those lies.
+_PLAUSIBLE, _UNCERTIFIED, _REFUTED = 5e-4, 0.02, 0.2
 # Diagonal entries, as a fraction of themselves, that a certificate can spare: what the rounding of
 # its factorization may hide.
 _ROUNDING_MARGIN = 1e-13
@@ -199,6 +200,10 @@ class Relaxation:
     def uncertified_nodes(self, poses: Floats) -> Indices:
         """Return indices of nodes, one or more wherever the certificate of a minimum fails."""
         return self._free[self._failing(poses, _UNCERTIFIED)]
+
+    def refuted(self, poses: Floats) -> bool:
+        """Whether a minimum looks wrong, without a proof: its certificate fails by much."""
+        return len(self._failing(poses, _REFUTED)) > 0
 
     def _failing(self, poses: Floats, fraction: float) -> Indices:
         if len(self._free) == 0:

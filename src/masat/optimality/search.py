@@ -57,7 +57,7 @@ _STRING_REACH, _MAX_FAILURES, _STRING_TOLERANCE = 6, 40, 1e-5
 _FIRST = 10
 _MAX_ROUNDS = 20
 # Bytes of a factor up to which all nodes are lifted at once: some seconds on one core.
-_MAX_LIFTED_BYTES = 3e8
+MAX_LIFTED_BYTES = 3e8
 # Iterations of Gauss-Newton to the exact minimum, and of the safer and slower dogleg.
 _FINAL_ITERATIONS, _FINAL_DOGLEG_ITERATIONS = 4, 100
 
@@ -68,7 +68,6 @@ def lower_minimum(
     seed: int = 0,
     progress: Progress | None = None,
     equations: _core.NormalEquations | None = None,
-    lift_all: bool = False,
     others: Sequence[Floats] = (),
 ) -> Result:
     """Search for a lower minimum around the parts of the graph where this one is doubtful.
@@ -89,8 +88,6 @@ def lower_minimum(
         What reports the stages and limits the time.
     equations : NormalEquations, optional
         Those of the graph, to be used again.
-    lift_all : bool
-        Whether all nodes are lifted where nothing else lowers chi2.
     others : sequence of ndarray, (n, 3) or (n, 7)
         Poses at other minima, whose better parts are taken (`splices.py`) before anything is
         lifted or shifted.
@@ -115,7 +112,7 @@ def lower_minimum(
             lower = search.at_differences(search.others)
             lower = lower or (graph.dimension == 3 and search.at_strings())
             lower = lower or search.at_uncertified_nodes() or search.at_cycles()
-            lower = lower or (lift_all and search.at_all_nodes())
+            lower = lower or search.at_all_nodes()
             if progress.over or not lower:
                 break
             search.lowest.converge()
@@ -299,17 +296,17 @@ class _Search:
         return self.chi2 < first * (1 - LOWER)
 
     def at_all_nodes(self) -> bool:
-        """Lift all nodes where memory allows it; return whether that lowered chi2.
+        """Lift all nodes if much is still wrong; return whether that lowered chi2.
 
         Parts of the graph that are each at their own minimum may be wrong together.
         """
-        small = self._relaxation.lifted_bytes() <= _MAX_LIFTED_BYTES
-        if not small or self._progress.over:
+        small = self._relaxation.lifted_bytes() <= MAX_LIFTED_BYTES
+        if not small or self._progress.over or not self._relaxation.refuted(self.poses):
             return False
         self._progress.tell("lifting all nodes", self.chi2)
         nodes = np.ones(len(self.poses), np.bool_)
         nodes[self._graph.index(self._graph.gauge)] = False
-        return self.lowest.attempt(nodes, self._lift)
+        return self._lift_if_new(nodes)
 
     def _relative(self, cycle: Cycle) -> Floats:
         """Return the rotations of a cycle's nodes; few of them if only the gauge is fixed."""
