@@ -45,9 +45,9 @@ _NODE_REACH, _EDGE_REACH = 6, 3
 # A residual, or the chi2 of some edges, that changed by a smaller fraction of itself is the same as
 # before.
 _SAME_RESIDUAL, _SAME_CHI2 = 0.02, 1e-3
-# Edges of a cycle from which on its residuals depend on the positions as much as on the rotations,
-# so that a shift either way may pay.
-_SOFT = 10
+# Edges of a cycle from which on its residuals depend on the positions as much as on the rotations:
+# a shift either way may pay, and half a turn may lead to another bend with the same winding number.
+_SOFT, _SOFT_TURNS = 10, (1.0, -0.5, 0.5)
 # Cycles tried at the most: the first divided by the number of nodes, but at least the second.
 _CYCLE_WORK, _MIN_CYCLES = 1_000_000, 10
 # Edges from the ends of a string within which nodes are free; strings that may fail one after the
@@ -178,12 +178,13 @@ class _Search:
         return sum(self._lift_if_new(part) for part in parts) > 0
 
     def at_cycles(self) -> bool:
-        """Shift the ambiguous cycles by 2 pi; return whether that lowered chi2."""
+        """Shift the ambiguous cycles, most by 2 pi; return whether that lowered chi2."""
         cycles = list(islice(self._cycles.at(self.poses), self._cycles_left))
         long = [cycle for cycle in cycles if len(cycle.edges) >= LONG]
         soft = [cycle for cycle in cycles if len(cycle.edges) >= _SOFT]
         moves = [[(cycle, 0.0)] for cycle in long]
-        moves += [[(cycle, -1.0)] for cycle in cycles] + [[(cycle, 1.0)] for cycle in soft]
+        moves += [[(cycle, -1.0)] for cycle in cycles]
+        moves += [[(cycle, turns)] for cycle in soft for turns in _SOFT_TURNS]
         for one, other in self._cycles.pairs(cycles):
             moves.append([(one, -1.0), (other, -1.0)])
             if len(one.edges) >= LONG and len(other.edges) >= LONG:
