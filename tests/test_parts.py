@@ -16,7 +16,7 @@ from masat.parts.elimination import PieceSystem
 from masat.parts.engines import InTurn
 from masat.parts.pieces import read_piece, read_separators
 from masat.parts.system import PartSystem
-from masat.worlds import city, manhattan, perturb, sphere
+from masat.worlds import add_false_closures, city, manhattan, perturb, sphere
 
 CITY = masat.initialize(perturb(city(1000), (0.05, 0.05, 0.02)), "masat")
 SPHERE = masat.initialize(perturb(sphere(400), (0.05, 0.02)), "masat")
@@ -67,6 +67,47 @@ def test_a_solve_in_parts_is_that_of_one_process(tmp_path, name, optimizer, part
     assert np.array_equal(whole.edges, graph.edges)
     assert np.array_equal(whole.measurements, graph.measurements)
     assert whole.chi2 == pytest.approx(found.chi2, rel=1e-12)
+
+
+@pytest.mark.parametrize("loss", ["cauchy", "dcs"])
+@pytest.mark.parametrize("name", GRAPHS)
+def test_a_loss_in_parts_is_that_of_one_process(tmp_path, name, loss):
+    spoiled, is_false = add_false_closures(GRAPHS[name], "random", 0.1, seed=1)
+    graph = spoiled.with_poses(GRAPHS[name].poses)
+    made = masat.partition(graph, tmp_path / "parts", 5)
+    found = made.solve("lm", loss=loss, scale=2.0)
+    best = masat.optimize(graph, "lm", loss=loss, scale=2.0)
+    assert is_false.any()
+    assert found.converged
+    assert found.loss == loss
+    assert found.initial_chi2 == pytest.approx(best.initial_chi2, rel=1e-12)
+    assert found.robust_cost == pytest.approx(best.robust_cost, rel=1e-9)
+    assert found.chi2 == pytest.approx(best.chi2, rel=1e-6)
+    assert found.robust_cost < found.chi2
+
+
+def test_a_solve_with_another_loss_begins_at_the_poses_of_the_last(tmp_path):
+    made = masat.partition(CITY, tmp_path / "parts", 4)
+    plain = made.solve()
+    robust = made.solve(loss="huber")
+    assert robust.initial_chi2 == pytest.approx(plain.chi2, rel=1e-9)
+    assert made.status().loss == ("huber", pytest.approx(3.368, rel=1e-3))
+    again = made.solve(loss="huber")
+    assert again.history[: robust.iterations] == robust.history
+    assert made.solve(restart=True).chi2 == pytest.approx(plain.chi2, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"loss": "gnc_tls"}, "unknown loss 'gnc_tls' of a partition; known: cauchy"),
+        ({"loss": "mine"}, "unknown loss 'mine'"),
+        ({"loss": "cauchy", "scale": 0.0}, "scale of a loss must be positive"),
+    ],
+)
+def test_a_loss_that_parts_do_not_have_is_refused(tmp_path, options, message):
+    with pytest.raises(masat.OptimizationError, match=message):
+        masat.partition(CITY, tmp_path, 2).solve(**options)
 
 
 def test_steps_that_make_chi2_worse_are_damped_as_in_one_process(tmp_path):
@@ -191,7 +232,7 @@ def test_an_interrupted_linearization_leaves_nothing_half_known(tmp_path, monkey
     engine.release()
     assert np.array_equal(message.block, fresh.block)
     assert np.array_equal(message.rhs, fresh.rhs)
-    assert before.chi2 == tasks.linearize(file, GIVEN).chi2
+    assert before.cost == tasks.linearize(file, GIVEN).cost
     engine.release()
 
 

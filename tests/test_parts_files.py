@@ -127,6 +127,10 @@ def test_the_command_line_parts_solves_and_tells(run, tmp_path):
     assert f"stopped, relative change, after {best.iterations} iterations" in text
     code, text, _ = run("solve", folder, "--json", "--restart")
     assert json.loads(text)["converged"]
+    code, text, _ = run("solve", folder, "--loss", "huber", "--loss-scale", "2")
+    assert code == 0
+    assert "with huber" in text
+    assert "lowest cost with huber" in run("status", folder)[1]
 
 
 @pytest.mark.parametrize("name", GRAPHS)

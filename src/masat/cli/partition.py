@@ -149,6 +149,8 @@ def solve_parts(
     folder: Path,
     out: Path | None,
     init: str,
+    loss: str | None,
+    loss_scale: float | None,
     optimizer: str,
     max_iterations: int,
     tolerance: float,
@@ -169,6 +171,8 @@ def solve_parts(
         result = made.solve(
             optimizer,
             init=None if init == "auto" else init,
+            loss=loss,
+            scale=loss_scale,
             restart=restart,
             client=connected,
             memory=memory,
@@ -191,6 +195,11 @@ def solve_parts(
                 (
                     "result",
                     f"chi2 {result.chi2:.6g} in {result.iterations} iterations of {result.method}",
+                ),
+                *(
+                    []
+                    if result.robust_cost is None
+                    else [("robust cost", f"{result.robust_cost:.6g} with {result.loss}")]
                 ),
                 ("stopped", result.message),
                 ("time", show.duration(result.seconds)),
@@ -223,7 +232,10 @@ def tell_status(folder: Path, as_json: bool) -> None:
         [
             ("state", f"{said}, after {done}"),
             ("initial guess", f"{found.init}, chi2 {found.initial_chi2:.6g}"),
-            ("lowest chi2", f"{found.chi2:.6g}"),
+            (
+                "lowest chi2" if found.loss is None else f"lowest cost with {found.loss[0]}",
+                f"{found.chi2:.6g}",
+            ),
         ]
     )
     if found.history:

@@ -18,6 +18,9 @@ from masat.quantiles import LOSS_GATE
 EdgeLoss: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 """From chi2 of the edges, (m,), to their costs rho and weights rho' = d rho / d chi2, (m,) each."""
 
+Scaled: TypeAlias = tuple[str, float]
+"""The name of a loss, and its scale."""
+
 GNC_TLS = "gnc_tls"
 """Name of the truncated loss that `masat.optimizers.gnc` minimizes in stages."""
 
@@ -156,7 +159,7 @@ def robust_cost(
         loss = LOSSES[loss]
     mask = checked_mask(graph, trusted)
     if isinstance(loss, Loss):
-        scale = default_scale(graph.dof) if scale is None else _checked_scale(scale)
+        scale = default_scale(graph.dof) if scale is None else checked_scale(scale)
         return RobustCost(loss.name, ScaledLoss(loss.kind, scale), scale, mask)
     if not callable(loss):
         raise OptimizationError(f"a loss is a name or a function of chi2, got {loss!r}")
@@ -170,7 +173,8 @@ def default_scale(dof: int) -> float:
     return float(np.sqrt(LOSS_GATE[dof]))
 
 
-def _checked_scale(scale: object) -> float:
+def checked_scale(scale: object) -> float:
+    """Return the scale of a loss, if it is one."""
     try:
         value = float(scale)  # type: ignore[arg-type]
     except (TypeError, ValueError):

@@ -16,6 +16,7 @@ import numpy as np
 from masat.arrays import Floats
 from masat.errors import PartitionError
 from masat.files import DAMAGED, write_atomically
+from masat.optimizers.losses import Scaled
 from masat.optimizers.termination import Iteration
 from masat.parts.pieces import Piece, missing
 
@@ -36,13 +37,17 @@ class Checkpoint:
     init : str
         The initial guess.
     poses : str
-        Name of the poses of the lowest chi2.
-    initial_chi2, chi2 : float
-        At the initial guess and at these poses.
+        Name of the poses of the lowest cost.
+    initial_chi2 : float
+        chi2 at the initial guess.
+    chi2 : float
+        chi2 at these poses; with a loss, the robust cost.
     history : list of Iteration
         All iterations, of interrupted solves too.
     reason : str or None
         Why the solve stopped; None while it goes on and after it was interrupted.
+    loss : tuple of str and float, or None
+        Name and scale of the loss that is minimized; None if chi2 is.
     """
 
     graph: str
@@ -53,6 +58,7 @@ class Checkpoint:
     chi2: float
     history: list[Iteration]
     reason: str | None
+    loss: Scaled | None = None
 
     def save(self, folder: Path) -> None:
         """Write it to the folder of a partition."""
@@ -73,6 +79,8 @@ def read_checkpoint(folder: Path, graph_hash: str) -> Checkpoint | None:
     try:
         saved = json.loads(path.read_bytes())
         saved["history"] = [Iteration(*row) for row in saved["history"]]
+        if saved.get("loss") is not None:
+            saved["loss"] = (str(saved["loss"][0]), float(saved["loss"][1]))
         found = Checkpoint(**saved)
     except FileNotFoundError:
         return None

@@ -11,6 +11,7 @@ import numpy as np
 from masat import _core, lie
 from masat.arrays import Floats, Indices
 from masat.optimizers.damped import LINEAR, damping_scale
+from masat.optimizers.losses import LOSSES, Scaled
 from masat.optimizers.termination import largest
 from masat.parts.pieces import Piece
 
@@ -20,8 +21,8 @@ class Linearization(NamedTuple):
 
     Attributes
     ----------
-    chi2 : float
-        That of its edges.
+    cost : float
+        chi2 of its edges, or their robust cost.
     scale, steepest : float
         Largest entry of the diagonal by which steps are damped, and of the gradient's negative
         half, over the nodes that no other piece adds to; 0 in a separator.
@@ -30,7 +31,7 @@ class Linearization(NamedTuple):
         in `Piece.separators`.
     """
 
-    chi2: float
+    cost: float
     scale: float
     steepest: float
     diagonal: Floats
@@ -83,10 +84,13 @@ class PieceSystem:
     ----------
     piece : Piece
         The piece.
+    loss : tuple of str and float, optional
+        Name and scale of the loss that is minimized. Default: chi2 is.
     """
 
-    def __init__(self, piece: Piece) -> None:
+    def __init__(self, piece: Piece, loss: Scaled | None = None) -> None:
         self.piece = piece
+        self._loss = None if loss is None else _core.Loss(LOSSES[loss[0]].kind, loss[1])
         self._dof = lie.DOF[piece.dimension]
         self._free = piece.own + piece.boundary
         self._nodes = len(piece.ids) + piece.children
@@ -118,16 +122,20 @@ class PieceSystem:
     def linearize(self, poses: Floats) -> Linearization:
         """Set the system at poses of the own nodes and of the boundary."""
         piece, d = self.piece, self.piece.dimension
-        chi2 = self._equations.linearize(self._all(poses))
+        at = self._all(poses)
+        if self._loss is None:
+            cost = self._equations.linearize(at)
+        else:
+            cost = self._equations.linearize_robust(at, self._loss)
         diagonal = self._equations.diagonal()[: self._step_size]
         rhs = self._equations.rhs()[: self._step_size]
         if piece.children:
-            return Linearization(chi2, 0.0, 0.0, diagonal, rhs)
+            return Linearization(cost, 0.0, 0.0, diagonal, rhs)
         end = piece.own * self._dof
         scale = diagonal[:end].reshape(-1, self._dof).max(axis=0, initial=0.0)
         scale[:d] *= LINEAR
         steepest = largest(rhs[:end]) if end else 0.0
-        return Linearization(chi2, float(scale.max()), steepest, diagonal[end:], rhs[end:])
+        return Linearization(cost, float(scale.max()), steepest, diagonal[end:], rhs[end:])
 
     def eliminate(
         self,

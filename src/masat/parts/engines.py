@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from masat.errors import PartitionError
+from masat.optimizers.losses import Scaled
 from masat.parts.cost import homes
 from masat.parts.index import Index
 from masat.parts.tasks import PieceFile, hold, release
@@ -65,12 +66,20 @@ class InTurn:
     memory : int, optional
         How many bytes the systems of pieces may take together; what is thrown out is computed
         again. The system in use is always held. Default: a quarter of the machine's memory.
+    loss : tuple of str and float, optional
+        Name and scale of the loss that is minimized. Default: chi2 is.
     """
 
-    def __init__(self, folder: Path, index: Index, memory: int | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        index: Index,
+        memory: int | None = None,
+        loss: Scaled | None = None,
+    ) -> None:
         limit = _quarter_of_machine() if memory is None else memory
         self._folder = _where(folder)
-        self._files = _files_of(folder, index, limit)
+        self._files = _files_of(folder, index, limit, loss)
 
     def files(self) -> list[PieceFile]:
         """Return the `PieceFile` of each piece."""
@@ -103,10 +112,12 @@ class OnCluster:
         The folder of the partition.
     index : Index
         Its index.
+    loss : tuple of str and float, optional
+        As of `InTurn`.
     """
 
-    def __init__(self, client: Any, folder: Path, index: Index) -> None:
-        self._client, self._folder, self._index = client, folder, index
+    def __init__(self, client: Any, folder: Path, index: Index, loss: Scaled | None = None) -> None:
+        self._client, self._folder, self._index, self._loss = client, folder, index, loss
         self._files: list[Any] | None = None
         workers = self._workers()
         if not workers:
@@ -138,7 +149,8 @@ class OnCluster:
             needed: dict[str, int] = dict.fromkeys(self._home, 0)
             for home, entry in zip(self._home, self._index.pieces, strict=True):
                 needed[home] += entry.memory
-            files = _files_of(self._folder, self._index, max(needed.values()))
+            limit = max(needed.values())
+            files = _files_of(self._folder, self._index, limit, self._loss)
             self._files = [
                 self._client.submit(
                     hold, file, workers=[home], allow_other_workers=True, pure=False
@@ -162,10 +174,10 @@ class OnCluster:
         return sorted(self._client.scheduler_info(n_workers=-1)["workers"])
 
 
-def _files_of(folder: Path, index: Index, limit: int) -> list[PieceFile]:
+def _files_of(folder: Path, index: Index, limit: int, loss: Scaled | None) -> list[PieceFile]:
     where = _where(folder)
     return [
-        PieceFile(where, entry.file, index.graph, entry.hash, entry.memory, limit)
+        PieceFile(where, entry.file, index.graph, entry.hash, entry.memory, limit, loss)
         for entry in index.pieces
     ]
 

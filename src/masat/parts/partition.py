@@ -56,6 +56,8 @@ class Partition:
         optimizer: str = "lm",
         *,
         init: str | None = None,
+        loss: str | None = None,
+        scale: float | None = None,
         restart: bool = False,
         client: Any | None = None,
         memory: int | None = None,
@@ -76,6 +78,12 @@ class Partition:
         init : str, optional
             The initial guess: "given", "masat" or "spanning_tree". Default: the poses of the
             graph if it had any, else "masat". An interrupted solve goes on from its own poses.
+        loss : str, optional
+            A loss of `masat.optimize` by name, except "gnc_tls", of all edges: the robust cost is
+            minimized. An earlier solve with another one is not gone on with: the new one begins at
+            its poses. Default: chi2 is minimized.
+        scale : float, optional
+            The scale of the loss, as of `masat.optimize`.
         restart : bool
             Whether to forget what an earlier solve has found.
         client : distributed.Client, optional
@@ -101,13 +109,15 @@ class Partition:
         PartitionError
             If a file is missing, damaged or of another graph, or an initial guess is unknown.
         OptimizationError
-            If the optimizer is unknown or a limit is negative.
+            If the optimizer or the loss is unknown, or a limit is negative.
         """
         return solve_partition(
             self.folder,
             self.index,
             method=optimizer,
             init=init,
+            loss=loss,
+            scale=scale,
             restart=restart,
             client=client,
             memory=memory,

@@ -11,9 +11,11 @@ from typing import Any
 
 from masat.arrays import Ids
 from masat.errors import OptimizationError, PartitionError
+from masat.lie import DOF
 from masat.optimizers import SHORT_NAMES
 from masat.optimizers.gauss_newton import gauss_newton
 from masat.optimizers.levenberg_marquardt import levenberg_marquardt
+from masat.optimizers.losses import GNC_TLS, LOSSES, Scaled, checked_scale, default_scale
 from masat.optimizers.termination import Iteration, Outcome, Report, StopReason, Termination
 from masat.parts.checkpoints import GIVEN, Checkpoint, forget_poses, read_checkpoint
 from masat.parts.engines import Engine, InTurn, OnCluster
@@ -44,12 +46,16 @@ class PartitionResult:
         The same in a sentence, with what to do if it did not converge.
     initial_chi2, chi2 : float
         Sum over the edges of e' W e, without a factor 1/2, at the initial guess and at the poses of
-        the lowest chi2 of all iterations.
+        the lowest cost of all iterations.
     history : tuple of Iteration
-        chi2, step length, damping and time of each iteration, those before an interruption
-        included.
+        chi2 (with a loss, the robust cost), step length, damping and time of each iteration, those
+        before an interruption included.
     seconds : float
         Wall time since the solve began or went on.
+    loss : str or None
+        Name of the loss; None if chi2 was minimized.
+    robust_cost : float or None
+        With a loss, the minimized cost.
     """
 
     method: str
@@ -60,6 +66,8 @@ class PartitionResult:
     chi2: float
     history: tuple[Iteration, ...]
     seconds: float
+    loss: str | None = None
+    robust_cost: float | None = None
 
     @property
     def converged(self) -> bool:
@@ -84,6 +92,8 @@ def solve_partition(
     *,
     method: str,
     init: str | None,
+    loss: str | None,
+    scale: float | None,
     restart: bool,
     client: Any | None,
     memory: int | None,
@@ -100,9 +110,12 @@ def solve_partition(
         )
     if max_iterations < 0 or relative_tolerance < 0:
         raise OptimizationError("iteration limit and tolerances must not be negative")
-    engine: Engine = (
-        InTurn(folder, index, memory) if client is None else OnCluster(client, folder, index)
-    )
+    scaled = _scaled(loss, scale, DOF[index.dimension])
+    engine: Engine
+    if client is None:
+        engine = InTurn(folder, index, memory, scaled)
+    else:
+        engine = OnCluster(client, folder, index, scaled)
     try:
         return _solve(
             folder,
@@ -110,6 +123,7 @@ def solve_partition(
             engine,
             method=full,
             init=init,
+            loss=scaled,
             restart=restart,
             max_iterations=max_iterations,
             relative_tolerance=relative_tolerance,
@@ -126,6 +140,7 @@ def _solve(
     *,
     method: str,
     init: str | None,
+    loss: Scaled | None,
     restart: bool,
     max_iterations: int,
     relative_tolerance: float,
@@ -139,11 +154,17 @@ def _solve(
         history: list[Iteration] = []
     else:
         init, poses, history = checkpoint.init, checkpoint.poses, list(checkpoint.history)
+        if checkpoint.loss != loss:
+            # Costs of another loss do not compare: a new solve begins where that one ended.
+            history = []
     system = PartSystem(index, engine, separators)
-    chi2 = system.chi2(poses)
-    if not math.isfinite(chi2):
+    cost = system.chi2(poses)
+    if not math.isfinite(cost):
         raise OptimizationError("chi2 of the initial poses is not finite: they are too far apart")
-    initial = chi2 if checkpoint is None else checkpoint.initial_chi2
+    if checkpoint is not None and checkpoint.loss == loss:
+        initial = checkpoint.initial_chi2
+    else:
+        initial = cost if loss is None else system.unweighted(poses)
     limits = Termination(max_iterations, relative_tolerance, 0.0, 0.0, system.rounding(poses))
 
     def save(reason: StopReason | None) -> None:
@@ -156,6 +177,7 @@ def _solve(
             chi2=system.lowest,
             history=history,
             reason=None if reason is None else reason.name,
+            loss=loss,
         ).save(folder)
         forget_poses(folder, {GIVEN, system.best, system.latest})
 
@@ -166,12 +188,12 @@ def _solve(
 
     save(None)
     before = len(history)
-    if chi2 <= limits.rounding:
-        outcome = Outcome(poses, chi2, StopReason.ROUNDING)
+    if cost <= limits.rounding:
+        outcome = Outcome(poses, cost, StopReason.ROUNDING)
     else:
         outcome = METHODS[method](system, poses, limits, keep)
     reason = outcome.reason
-    if reason is StopReason.MAX_ITERATIONS and len(history) > before and history[-1].chi2 > chi2:
+    if reason is StopReason.MAX_ITERATIONS and len(history) > before and history[-1].chi2 > cost:
         reason = StopReason.DIVERGED
     save(reason)
     return PartitionResult(
@@ -180,10 +202,22 @@ def _solve(
         reason=reason,
         message=_message(reason, outcome.singular_node, len(history)),
         initial_chi2=initial,
-        chi2=system.lowest,
+        chi2=system.lowest if loss is None else system.unweighted(system.best),
         history=tuple(history),
         seconds=perf_counter() - begin,
+        loss=None if loss is None else loss[0],
+        robust_cost=None if loss is None else system.lowest,
     )
+
+
+def _scaled(loss: str | None, scale: float | None, dof: int) -> Scaled | None:
+    """Return a loss of the core with its scale."""
+    if loss is None:
+        return None
+    if loss == GNC_TLS or loss not in LOSSES:
+        known = ", ".join(name for name in LOSSES if name != GNC_TLS)
+        raise OptimizationError(f"unknown loss {loss!r} of a partition; known: {known}")
+    return loss, default_scale(dof) if scale is None else checked_scale(scale)
 
 
 def _initial_poses(

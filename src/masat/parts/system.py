@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import secrets
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +28,7 @@ from masat.parts.index import Index
 class _Known:
     """What is known of the system at some poses: sums over all pieces."""
 
-    chi2: float
+    cost: float
     floor: float
     steepest: float
     diagonal: Floats
@@ -57,7 +58,7 @@ class PartSystem:
         self.best, self.latest = "", ""
 
     def chi2(self, poses: str, /) -> float:
-        """Return the chi2 at poses, and remember those of the lowest."""
+        """Return the cost at poses, and remember those of the lowest."""
         if poses not in self._known:
             step = self._pending.pop(poses, None)
             before: list[Any] = [None] * len(self._index.pieces)
@@ -75,16 +76,16 @@ class PartSystem:
             self._known = {name: self._known[name] for name in self._known if name == self._at}
             self._known[poses] = self._sum(found)
         self.latest = poses
-        chi2 = self._known[poses].chi2
-        if chi2 < self.lowest:
-            self.lowest, self.best = chi2, poses
-        return chi2
+        cost = self._known[poses].cost
+        if cost < self.lowest:
+            self.lowest, self.best = cost, poses
+        return cost
 
     def linearize(self, poses: str, /) -> float:
-        """Set the system at poses; return chi2."""
-        chi2 = self.chi2(poses)
+        """Set the system at poses; return the cost."""
+        cost = self.chi2(poses)
         self._at = poses
-        return chi2
+        return cost
 
     def steepest(self) -> float:
         """Return the largest absolute value of the gradient's negative half."""
@@ -128,10 +129,15 @@ class PartSystem:
 
     def rounding(self, poses: str) -> float:
         """Return the chi2 that the rounding of coordinates alone makes."""
-        jobs = [
-            self._engine.submit(k, tasks.rounding, file, poses)
-            for k, file in enumerate(self._engine.files())
-        ]
+        return self._total(tasks.rounding, poses)
+
+    def unweighted(self, poses: str) -> float:
+        """Return chi2 at poses, whatever the loss."""
+        return self._total(tasks.chi2, poses)
+
+    def _total(self, task: Callable[[tasks.PieceFile, str], float], poses: str) -> float:
+        files = self._engine.files()
+        jobs = [self._engine.submit(k, task, file, poses) for k, file in enumerate(files)]
         return math.fsum(self._engine.gather(jobs))
 
     @property
@@ -148,7 +154,7 @@ class PartSystem:
         scale = diagonal.max(axis=0, initial=0.0)
         scale[:d] *= LINEAR
         return _Known(
-            math.fsum(one.chi2 for one in found),
+            math.fsum(one.cost for one in found),
             MIN_SCALE * max(float(scale.max()), *(one.scale for one in found)),
             max(largest(rhs) if count else 0.0, *(one.steepest for one in found)),
             diagonal,

@@ -18,6 +18,7 @@ import numpy as np
 from masat import _core, lie
 from masat.arrays import Floats
 from masat.optimizers.equations import rounding_of
+from masat.optimizers.losses import Scaled
 from masat.parts.checkpoints import read_poses, write_poses
 from masat.parts.elimination import Linearization, Message, PieceSystem, Solution
 from masat.parts.pieces import read_piece
@@ -31,6 +32,7 @@ class PieceFile(NamedTuple):
     """Where the file of a piece is, what it must hold, and what its system takes.
 
     `memory` are the bytes of the system, `limit` those of all systems that a process may keep.
+    `loss` is that of the cost, None for chi2.
     """
 
     folder: str
@@ -39,6 +41,7 @@ class PieceFile(NamedTuple):
     file_hash: str
     memory: int
     limit: int
+    loss: Scaled | None
 
     def __sizeof__(self) -> int:
         # By this Dask estimates what it costs to move a task away from the system that it needs.
@@ -64,7 +67,8 @@ class _Workspace:
         self.lock = threading.RLock()
         self.file = file
         path = Path(file.folder) / file.name
-        self.system = PieceSystem(read_piece(path, file.graph_hash, file.file_hash))
+        piece = read_piece(path, file.graph_hash, file.file_hash)
+        self.system = PieceSystem(piece, file.loss)
         self.linearization: Linearization | None = None
         self.at = ""
         self.message: Message | None = None
@@ -93,10 +97,10 @@ class _Workspaces:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._held: OrderedDict[tuple[str, str, str], _Workspace] = OrderedDict()
+        self._held: OrderedDict[tuple[str, str, str, Scaled | None], _Workspace] = OrderedDict()
 
     def of(self, file: PieceFile) -> _Workspace:
-        key = file.folder, file.name, file.file_hash
+        key = file.folder, file.name, file.file_hash, file.loss
         with self._lock:
             found = self._held.get(key)
             if found is not None:
@@ -172,6 +176,14 @@ def substitute(
         if system.piece.children == 0:
             return solution._replace(step=np.empty(0))
         return solution
+
+
+def chi2(file: PieceFile, poses: str) -> float:
+    """Return the chi2 of the edges of a piece at some poses, whatever the loss."""
+    workspace = _WORKSPACES.of(file)
+    with workspace.lock:
+        system = workspace.system
+        return system.chi2(read_poses(file.folder, poses, file.name, system.piece))
 
 
 def rounding(file: PieceFile, poses: str) -> float:
