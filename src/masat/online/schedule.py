@@ -10,7 +10,7 @@ from dataclasses import dataclass
 _TURNED, _GROWTH = 0.3, 1.1
 # Closures that are not believed, at least and as a multiple of those at the last review, that are
 # worth one; less than that if it changed so large a fraction of all.
-_DOUBTED, _MORE, _MORE_IF_WRONG, _WRONG = 200, 8.0, 1.5, 0.02
+_DOUBTED, _MORE, _MORE_IF_WRONG, _WRONG = 200, 12.0, 1.5, 0.02
 # Steps after which the outcome of a review is taken over, at least and as a fraction of the nodes.
 _STEPS, _FRACTION = 20, 0.05
 
