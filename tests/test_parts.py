@@ -103,6 +103,7 @@ def test_a_solve_with_another_loss_begins_at_the_poses_of_the_last(tmp_path):
         ({"loss": "gnc_tls"}, "unknown loss 'gnc_tls' of a partition; known: cauchy"),
         ({"loss": "mine"}, "unknown loss 'mine'"),
         ({"loss": "cauchy", "scale": 0.0}, "scale of a loss must be positive"),
+        ({"scale": 2.0}, "scale has no effect without a loss"),
     ],
 )
 def test_a_loss_that_parts_do_not_have_is_refused(tmp_path, options, message):

@@ -70,6 +70,17 @@ def test_a_solve_in_parts_is_that_of_one_process(tmp_path, name):
     assert made.graph().chi2 == pytest.approx(found.chi2, rel=1e-9)
 
 
+@pytest.mark.parametrize("loss", ["cauchy", "tukey"])
+@pytest.mark.parametrize("name", GRAPHS)
+def test_a_loss_in_parts_is_that_of_one_process(tmp_path, name, loss):
+    graph = masat.optimize(masat.initialize(GRAPHS[name](), "masat")).graph
+    made = masat.partition(graph, tmp_path / "parts", 3)
+    found, whole = made.solve("lm", loss=loss), masat.optimize(graph, "lm", loss=loss)
+    assert (found.reason, found.iterations) == (whole.reason, whole.iterations)
+    assert found.robust_cost == pytest.approx(whole.robust_cost, rel=1e-8)
+    assert found.chi2 == pytest.approx(whole.chi2, rel=1e-6)
+
+
 @pytest.mark.parametrize("name", GRAPHS)
 def test_the_graph_that_was_cut_comes_back(tmp_path, name):
     graph = GRAPHS[name]()

@@ -113,6 +113,52 @@ def test_a_good_map_has_no_uncertified_nodes():
     assert search.poses is converged
 
 
+def counting_lifts(search, monkeypatch):
+    """Let lifts find nothing, and return the list of the parts that are lifted."""
+    lifted = []
+
+    def in_vain(part):
+        lifted.append(part)
+        return masat.optimize(part.graph)
+
+    monkeypatch.setattr(search, "_lift", in_vain)
+    return lifted
+
+
+def test_what_was_lifted_in_vain_is_lifted_again_where_it_has_changed(monkeypatch):
+    best = masat.optimize(random_graph(2, 30, 60, seed=1, noise=0.02)).graph
+    search = search_of(best)
+    lifted = counting_lifts(search, monkeypatch)
+    assert not search._lift_if_new(mask(30, [4, 5, 6]))
+    assert not search._lift_if_new(mask(30, [4, 5, 6]))
+    assert not search._lift_if_new(mask(30, [5]))
+    assert len(lifted) == 1
+    assert not search._lift_if_new(mask(30, [5, 7]))
+    assert len(lifted) == 2
+    search.lowest.poses = best.poses.copy()
+    search.lowest.poses[5] += 1
+    assert search._lift_if_new(mask(30, [5]))
+    assert len(lifted) == 3
+
+
+def test_where_most_nodes_are_to_be_lifted_all_are_but_splices_stay_within_their_part(monkeypatch):
+    best = masat.optimize(random_graph(2, 30, 60, seed=1, noise=0.02)).graph
+    search = search_of(best)
+    lifted = counting_lifts(search, monkeypatch)
+    most = mask(30, range(5, 25))
+    search._lift_if_new(most)
+    assert np.flatnonzero(~lifted[0].inside).tolist() == [0]
+    search.lowest.attempt(most, search._lift, widen=False)
+    assert lifted[1].nodes[lifted[1].inside].tolist() == list(range(5, 25))
+
+
+def test_a_map_is_refuted_where_the_certificate_fails_by_much():
+    twisted = two_rings(second_twisted=False)
+    assert Relaxation(twisted).refuted(twisted.poses)
+    straight = two_rings(first_twisted=False, second_twisted=False)
+    assert not Relaxation(straight).refuted(straight.poses)
+
+
 def test_what_a_lift_makes_worse_stays(monkeypatch):
     """Each connected part for itself: only where chi2 falls do its poses count."""
     graph = two_rings(second_twisted=False)

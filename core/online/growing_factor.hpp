@@ -46,7 +46,7 @@ class GrowingFactor {
     AlignedBuffer memory;
     std::int64_t doubles = 0;              // of the memory
     std::int32_t pivots = 0, parent = -1;  // pivots in nodes; 0 if the front is not in use
-    std::int64_t made = 0;                 // the elimination that made it
+    std::int64_t made = 0;                 // the elimination that computed it
     std::vector<std::int32_t> nodes;       // pivots, then rows
     std::vector<std::int32_t> children;
     std::span<const std::int32_t> rows() const {
@@ -82,8 +82,9 @@ class GrowingFactor {
   bool anything_touched() const { return !touched_.empty(); }
 
   // Drops the fronts on the paths from the touched nodes to the roots. The nodes that they
-  // eliminated, and new ones, are `dropped()` until `eliminate` eliminates them again: in a new
-  // order, or in the same one if only values have changed.
+  // eliminated, and new ones, are `dropped()` until `eliminate` orders and eliminates them again.
+  // Where only values have changed and that takes little time, the order stays, and so do the
+  // fronts until they are computed again.
   void drop(const Graph& graph);
   std::span<const std::int32_t> dropped() const { return dropped_; }
   bool is_dropped(std::int32_t node) const { return local_[node] >= 0; }

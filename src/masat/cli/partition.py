@@ -228,20 +228,21 @@ def tell_status(folder: Path, as_json: bool) -> None:
         return
     done = f"{len(found.history)} iterations of {found.method}"
     said = f"stopped, {found.reason.lower().replace('_', ' ')}" if found.reason else "not finished"
+    cost, options_of_loss = "chi2", ""
+    if found.loss is not None:
+        name, scale = found.loss
+        cost, options_of_loss = f"cost with {name}", f" --loss {name} --loss-scale {scale:.17g}"
     show.rows(
         [
             ("state", f"{said}, after {done}"),
             ("initial guess", f"{found.init}, chi2 {found.initial_chi2:.6g}"),
-            (
-                "lowest chi2" if found.loss is None else f"lowest cost with {found.loss[0]}",
-                f"{found.chi2:.6g}",
-            ),
+            (f"lowest {cost}", f"{found.chi2:.6g}"),
         ]
     )
     if found.history:
         first = max(0, len(found.history) - _SHOWN)
         show.table(
-            ("iteration", "chi2", "step", "seconds"),
+            ("iteration", "chi2" if found.loss is None else "cost", "step", "seconds"),
             [
                 (str(k + 1), f"{one.chi2:.6g}", f"{one.step:.3g}", f"{one.seconds:.2f}")
                 for k, one in enumerate(found.history)
@@ -249,7 +250,7 @@ def tell_status(folder: Path, as_json: bool) -> None:
             ],
         )
     if found.reason is None:
-        click.echo(f"to go on: masat solve {folder}")
+        click.echo(f"to go on: masat solve {folder}{options_of_loss}")
 
 
 def _bytes(count: float) -> str:

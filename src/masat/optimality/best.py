@@ -255,18 +255,19 @@ def _first_minimum(
     if quick.converged or progress.over or (watch is not None and watch.is_wrong):
         return quick
     start = guess
-    # In 3D it is the search that needs parts of many minima, and lifts all nodes at its end.
-    if guess.dimension == 2 and Relaxation(guess).lifted_bytes() <= MAX_LIFTED_BYTES:
-        progress.tell("lifting all nodes")
-        try:
+    try:
+        # In 3D it is the search that needs parts of many minima, and lifts all nodes at its end.
+        if guess.dimension == 2 and Relaxation(guess).lifted_bytes() <= MAX_LIFTED_BYTES:
+            progress.tell("lifting all nodes")
             start = guess.with_poses(lift(guess, seed=seed))
-        except InitializationError:
-            # The chordal problem may leave open what chi2 determines.
-            pass
-        except KeyboardInterrupt:
-            progress.interrupt()
-            return quick
-    return run(start, "dogleg")
+    except InitializationError:
+        # The chordal problem may leave open what chi2 determines.
+        pass
+    except KeyboardInterrupt:
+        progress.interrupt()
+        return quick
+    # Gauss-Newton may have ended anywhere, even where chi2 is not finite.
+    return min(run(start, "dogleg"), quick, key=lambda minimum: minimum.chi2)
 
 
 class _StopIfWrong:

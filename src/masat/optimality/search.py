@@ -42,9 +42,9 @@ _SAME_MINIMUM = 1e-6
 # Edges from a node where the certificate fails, and from an edge of an ambiguous cycle, within
 # which nodes are lifted.
 _NODE_REACH, _EDGE_REACH = 6, 3
-# A residual, or the chi2 of some edges, that changed by a smaller fraction of itself is the same as
-# before.
-_SAME_RESIDUAL, _SAME_CHI2 = 0.02, 1e-3
+# A residual that changed by a smaller fraction of itself is the same as before, and so are edges
+# whose chi2 changed by less than the second number in all.
+_SAME_RESIDUAL, _SAME_CHI2 = 0.02, 0.5
 # Edges of a cycle from which on its residuals depend on the positions as much as on the rotations:
 # a shift either way may pay, and half a turn may lead to another bend with the same winding number.
 _SOFT, _SOFT_TURNS = 10, (1.0, -0.5, 0.5)
@@ -72,11 +72,12 @@ def lower_minimum(
 ) -> Result:
     """Search for a lower minimum around the parts of the graph where this one is doubtful.
 
-    Nodes are lifted to a higher rank while the rest is fixed: first those around the nodes where
-    the certificate fails and around the edges of ambiguous cycles, each connected part by itself,
-    as long as that lowers chi2; then those of each ambiguous cycle (`cycles.py`), which is also
-    shifted by 2 pi either way. Each trial that lowers chi2 is kept at once; after a round with such
-    a trial another round begins.
+    Nodes are lifted to a higher rank while the rest is fixed: those around the nodes where the
+    certificate fails and around the edges of ambiguous cycles, each connected part by itself, as
+    long as that lowers chi2. Then each ambiguous cycle (`cycles.py`) is shifted by 2 pi against its
+    residual, a soft one the other way and by half a turn, too; in 3D the nodes around it are also
+    lifted. At last all nodes are lifted, if much is still wrong. Each trial that lowers chi2 is
+    kept at once; after a round with such a trial another round begins.
 
     Parameters
     ----------
@@ -145,8 +146,8 @@ class _Search:
         self._progress = progress
         self._relaxation = Relaxation(graph)
         self._cycles = AmbiguousCycles(graph)
-        # With the chi2 of the edges around them.
-        self._lifts_in_vain: list[tuple[Flags, float]] = []
+        # With the chi2 of all edges.
+        self._lifts_in_vain: list[tuple[Flags, Floats]] = []
         self._refused: dict[tuple[tuple[int, float], ...], Floats] = {}
         self._cycles_left = max(_MIN_CYCLES, _CYCLE_WORK // len(graph.ids))
 
@@ -192,7 +193,7 @@ class _Search:
         changed: set[int] = set()
         for shifts in moves:
             edges = {cycle.edge for cycle, _ in shifts}
-            key = tuple((cycle.edge, sign) for cycle, sign in shifts)
+            key = tuple((cycle.edge, turns) for cycle, turns in shifts)
             signed = np.concatenate([np.atleast_1d(c.residual * c.axis) for c, _ in shifts])
             refused = self._refused.get(key)
             same = refused is not None and np.allclose(signed, refused, rtol=_SAME_RESIDUAL)
@@ -210,7 +211,7 @@ class _Search:
             where = neighborhood(self._graph, nodes)
             cuts = [None, *(cut_edges(shifts[0][0]) if shifts[0][1] == 0 else ())]
             own = np.array([cycle.edge for cycle, _ in shifts])
-            by = np.array([2 * np.pi * sign * cycle.axis for cycle, sign in shifts])
+            by = np.array([2 * np.pi * turns * cycle.axis for cycle, turns in shifts])
             trials: list[Trial] = [self._shift(own, by, cut) for cut in cuts]
             if any(self.lowest.attempt(where, trial) for trial in trials) or (
                 self._graph.dimension == 3 and self._lift_if_new(where)
@@ -221,16 +222,24 @@ class _Search:
         return len(changed) > 0
 
     def _lift_if_new(self, nodes: Flags) -> bool:
-        """Lift nodes unless all were lifted in vain and nothing has changed there since."""
+        """Lift nodes unless they were free in a lift in vain, and chi2 around them is as then.
+
+        Where most nodes are to be lifted, all are, if memory allows it.
+        """
+        widen = self._relaxation.lifted_bytes() <= MAX_LIFTED_BYTES
+        if widen and np.count_nonzero(nodes) > len(nodes) / 2:
+            nodes = np.ones(len(nodes), np.bool_)
+            nodes[self._graph.index(self._graph.gauge)] = False
         chi2 = chi2_per_edge(self._graph, self.poses)
-        for there, before in self._lifts_in_vain:
-            now = float(chi2[self._graph.topology.incident_edges(there)].sum())
-            if abs(now - before) <= _SAME_CHI2 * before and not (nodes & ~there).any():
-                return False
-        if self.lowest.attempt(nodes, self._lift):
-            return True
         own = self._graph.topology.incident_edges(nodes)
-        self._lifts_in_vain.append((nodes, float(chi2[own].sum())))
+        for there, before in self._lifts_in_vain:
+            if (nodes & ~there).any():
+                continue
+            if np.abs(chi2[own] - before[own]).sum() <= _SAME_CHI2 * self.lowest.unit:
+                return False
+        if self.lowest.attempt(nodes, self._lift, widen=widen):
+            return True
+        self._lifts_in_vain.append((nodes, chi2))
         return False
 
     def at_strings(self) -> bool:
@@ -292,7 +301,7 @@ class _Search:
             self._progress.tell("taking the better parts of two minima", self.chi2)
             for part in other.parts(self._graph, self.poses):
                 trial = partial(spliced_in, other=other.poses, nearly=self._nearly)
-                if not self.lowest.attempt(part, trial):
+                if not self.lowest.attempt(part, trial, widen=False):
                     other.refuse(part, self._graph, self.poses)
         return self.chi2 < first * (1 - LOWER)
 
@@ -305,9 +314,7 @@ class _Search:
         if not small or self._progress.over or not self._relaxation.refuted(self.poses):
             return False
         self._progress.tell("lifting all nodes", self.chi2)
-        nodes = np.ones(len(self.poses), np.bool_)
-        nodes[self._graph.index(self._graph.gauge)] = False
-        return self._lift_if_new(nodes)
+        return self._lift_if_new(np.ones(len(self.poses), np.bool_))
 
     def _relative(self, cycle: Cycle) -> Floats:
         """Return the rotations of a cycle's nodes; few of them if only the gauge is fixed."""

@@ -80,7 +80,9 @@ class LowestMinimum:
         self.poses, self.chi2 = result.poses, result.chi2
         return result
 
-    def attempt(self, nodes: Flags, trial: Trial, nearly: float = NEARLY) -> bool:
+    def attempt(
+        self, nodes: Flags, trial: Trial, nearly: float = NEARLY, *, widen: bool = True
+    ) -> bool:
         """Keep what a trial makes of some nodes if it lowers chi2; return whether it does.
 
         Parameters
@@ -91,15 +93,17 @@ class LowestMinimum:
             Returns the result of an optimizer on the subgraph of these nodes.
         nearly : float
             How many units of chi2 above the minimum are optimized further with all nodes free.
+        widen : bool
+            Whether all nodes are free where most are: the order of elimination of the whole graph
+            is known, that of a large part is not.
         """
         graph, before = self._graph, self.poses
         nodes = nodes.copy()
         nodes[self._fixed] = False
         if self._progress.over or not nodes.any():
             return False
-        # The order of elimination of the whole graph is known, that of a large part is not.
-        most = np.count_nonzero(nodes) > len(nodes) / 2
-        part = whole(graph, before) if most else subgraph(graph, before, nodes)
+        widened = widen and np.count_nonzero(nodes) > len(nodes) / 2
+        part = whole(graph, before) if widened else subgraph(graph, before, nodes)
         try:
             result = trial(part)
         except (InitializationError, OptimizationError):
@@ -112,7 +116,7 @@ class LowestMinimum:
         poses[indices] = result.poses[part.inside]
         if same_poses(before[indices], poses[indices]):
             return False
-        if not most:
+        if not widened:
             self._put_back(poses, nodes)
         chi2 = self.chi2 + result.chi2 - part.graph.chi2
         lower = self.chi2 * (1 - LOWER)

@@ -39,7 +39,7 @@ class Checkpoint:
     poses : str
         Name of the poses of the lowest cost.
     initial_chi2 : float
-        chi2 at the initial guess.
+        chi2 at the initial guess, or where a solve with another loss had ended.
     chi2 : float
         chi2 at these poses; with a loss, the robust cost.
     history : list of Iteration
@@ -80,7 +80,8 @@ def read_checkpoint(folder: Path, graph_hash: str) -> Checkpoint | None:
         saved = json.loads(path.read_bytes())
         saved["history"] = [Iteration(*row) for row in saved["history"]]
         if saved.get("loss") is not None:
-            saved["loss"] = (str(saved["loss"][0]), float(saved["loss"][1]))
+            name, scale = saved["loss"]
+            saved["loss"] = (str(name), float(scale))
         found = Checkpoint(**saved)
     except FileNotFoundError:
         return None

@@ -45,8 +45,8 @@ class PartitionResult:
     message : str
         The same in a sentence, with what to do if it did not converge.
     initial_chi2, chi2 : float
-        Sum over the edges of e' W e, without a factor 1/2, at the initial guess and at the poses of
-        the lowest cost of all iterations.
+        Sum over the edges of e' W e, without a factor 1/2, at the initial guess (or where a solve
+        with another loss had ended) and at the poses of the lowest cost of all iterations.
     history : tuple of Iteration
         chi2 (with a loss, the robust cost), step length, damping and time of each iteration, those
         before an interruption included.
@@ -200,7 +200,7 @@ def _solve(
         method=method,
         init=init,
         reason=reason,
-        message=_message(reason, outcome.singular_node, len(history)),
+        message=_message(reason, outcome.singular_node, len(history), loss),
         initial_chi2=initial,
         chi2=system.lowest if loss is None else system.unweighted(system.best),
         history=tuple(history),
@@ -213,6 +213,8 @@ def _solve(
 def _scaled(loss: str | None, scale: float | None, dof: int) -> Scaled | None:
     """Return a loss of the core with its scale."""
     if loss is None:
+        if scale is not None:
+            raise OptimizationError("scale has no effect without a loss: give one")
         return None
     if loss == GNC_TLS or loss not in LOSSES:
         known = ", ".join(name for name in LOSSES if name != GNC_TLS)
@@ -246,7 +248,7 @@ def _initial_poses(
     return init, poses
 
 
-def _message(reason: StopReason, node: int | None, iterations: int) -> str:
+def _message(reason: StopReason, node: int | None, iterations: int, loss: Scaled | None) -> str:
     advice = None
     if reason is StopReason.SINGULAR and node is not None:
         advice = (
@@ -254,5 +256,6 @@ def _message(reason: StopReason, node: int | None, iterations: int) -> str:
             "initial guess, or else Levenberg-Marquardt"
         )
     if reason is StopReason.MAX_ITERATIONS:
-        advice = "solve again to go on, or try another initial guess"
+        same = "" if loss is None else " with the same loss"
+        advice = f"solve again{same} to go on, or try another initial guess"
     return reason.said(iterations, advice)
