@@ -43,7 +43,7 @@ _SAME_MINIMUM = 1e-6
 # which nodes are lifted.
 _NODE_REACH, _EDGE_REACH = 6, 3
 # A residual that changed by a smaller fraction of itself is the same as before, and so are edges
-# whose chi2 changed by less than the second number in all.
+# whose chi2 changed by less in all than so many units (`LowestMinimum.unit`).
 _SAME_RESIDUAL, _SAME_CHI2 = 0.02, 0.5
 # Edges of a cycle from which on its residuals depend on the positions as much as on the rotations:
 # a shift either way may pay, and half a turn may lead to another bend with the same winding number.
@@ -146,7 +146,7 @@ class _Search:
         self._progress = progress
         self._relaxation = Relaxation(graph)
         self._cycles = AmbiguousCycles(graph)
-        # With the chi2 of all edges.
+        # The nodes that were lifted, (n,), and chi2 of all edges, (m,), when they were.
         self._lifts_in_vain: list[tuple[Flags, Floats]] = []
         self._refused: dict[tuple[tuple[int, float], ...], Floats] = {}
         self._cycles_left = max(_MIN_CYCLES, _CYCLE_WORK // len(graph.ids))
@@ -222,8 +222,9 @@ class _Search:
         return len(changed) > 0
 
     def _lift_if_new(self, nodes: Flags) -> bool:
-        """Lift nodes unless they were free in a lift in vain, and chi2 around them is as then.
+        """Lift nodes, (n,), where that may help; return whether it lowered chi2.
 
+        It is done unless they were all free in a lift in vain and chi2 around them is as then.
         Where most nodes are to be lifted, all are, if memory allows it.
         """
         widen = self._relaxation.lifted_bytes() <= MAX_LIFTED_BYTES

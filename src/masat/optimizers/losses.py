@@ -18,7 +18,7 @@ from masat.quantiles import LOSS_GATE
 EdgeLoss: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 """From chi2 of the edges, (m,), to their costs rho and weights rho' = d rho / d chi2, (m,) each."""
 
-Scaled: TypeAlias = tuple[str, float]
+NamedLoss: TypeAlias = tuple[str, float]
 """The name of a loss, and its scale."""
 
 GNC_TLS = "gnc_tls"

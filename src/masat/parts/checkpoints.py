@@ -16,7 +16,7 @@ import numpy as np
 from masat.arrays import Floats
 from masat.errors import PartitionError
 from masat.files import DAMAGED, write_atomically
-from masat.optimizers.losses import Scaled
+from masat.optimizers.losses import NamedLoss
 from masat.optimizers.termination import Iteration
 from masat.parts.pieces import Piece, missing
 
@@ -58,7 +58,7 @@ class Checkpoint:
     chi2: float
     history: list[Iteration]
     reason: str | None
-    loss: Scaled | None = None
+    loss: NamedLoss | None = None
 
     def save(self, folder: Path) -> None:
         """Write it to the folder of a partition."""

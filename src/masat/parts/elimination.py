@@ -11,7 +11,7 @@ import numpy as np
 from masat import _core, lie
 from masat.arrays import Floats, Indices
 from masat.optimizers.damped import LINEAR, damping_scale
-from masat.optimizers.losses import LOSSES, Scaled
+from masat.optimizers.losses import LOSSES, NamedLoss
 from masat.optimizers.termination import largest
 from masat.parts.pieces import Piece
 
@@ -88,7 +88,7 @@ class PieceSystem:
         Name and scale of the loss that is minimized. Default: chi2 is.
     """
 
-    def __init__(self, piece: Piece, loss: Scaled | None = None) -> None:
+    def __init__(self, piece: Piece, loss: NamedLoss | None = None) -> None:
         self.piece = piece
         self._loss = None if loss is None else _core.Loss(LOSSES[loss[0]].kind, loss[1])
         self._dof = lie.DOF[piece.dimension]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from masat.errors import PartitionError
-from masat.optimizers.losses import Scaled
+from masat.optimizers.losses import NamedLoss
 from masat.parts.cost import homes
 from masat.parts.index import Index
 from masat.parts.tasks import PieceFile, hold, release
@@ -75,7 +75,7 @@ class InTurn:
         folder: Path,
         index: Index,
         memory: int | None = None,
-        loss: Scaled | None = None,
+        loss: NamedLoss | None = None,
     ) -> None:
         limit = _quarter_of_machine() if memory is None else memory
         self._folder = _where(folder)
@@ -116,7 +116,9 @@ class OnCluster:
         As of `InTurn`.
     """
 
-    def __init__(self, client: Any, folder: Path, index: Index, loss: Scaled | None = None) -> None:
+    def __init__(
+        self, client: Any, folder: Path, index: Index, loss: NamedLoss | None = None
+    ) -> None:
         self._client, self._folder, self._index, self._loss = client, folder, index, loss
         self._files: list[Any] | None = None
         workers = self._workers()
@@ -174,7 +176,7 @@ class OnCluster:
         return sorted(self._client.scheduler_info(n_workers=-1)["workers"])
 
 
-def _files_of(folder: Path, index: Index, limit: int, loss: Scaled | None) -> list[PieceFile]:
+def _files_of(folder: Path, index: Index, limit: int, loss: NamedLoss | None) -> list[PieceFile]:
     where = _where(folder)
     return [
         PieceFile(where, entry.file, index.graph, entry.hash, entry.memory, limit, loss)

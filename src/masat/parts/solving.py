@@ -15,7 +15,7 @@ from masat.lie import DOF
 from masat.optimizers import SHORT_NAMES
 from masat.optimizers.gauss_newton import gauss_newton
 from masat.optimizers.levenberg_marquardt import levenberg_marquardt
-from masat.optimizers.losses import GNC_TLS, LOSSES, Scaled, checked_scale, default_scale
+from masat.optimizers.losses import GNC_TLS, LOSSES, NamedLoss, checked_scale, default_scale
 from masat.optimizers.termination import Iteration, Outcome, Report, StopReason, Termination
 from masat.parts.checkpoints import GIVEN, Checkpoint, forget_poses, read_checkpoint
 from masat.parts.engines import Engine, InTurn, OnCluster
@@ -140,7 +140,7 @@ def _solve(
     *,
     method: str,
     init: str | None,
-    loss: Scaled | None,
+    loss: NamedLoss | None,
     restart: bool,
     max_iterations: int,
     relative_tolerance: float,
@@ -164,7 +164,7 @@ def _solve(
     if checkpoint is not None and checkpoint.loss == loss:
         initial = checkpoint.initial_chi2
     else:
-        initial = cost if loss is None else system.unweighted(poses)
+        initial = cost if loss is None else system.chi2_without_loss(poses)
     limits = Termination(max_iterations, relative_tolerance, 0.0, 0.0, system.rounding(poses))
 
     def save(reason: StopReason | None) -> None:
@@ -202,7 +202,7 @@ def _solve(
         reason=reason,
         message=_message(reason, outcome.singular_node, len(history), loss),
         initial_chi2=initial,
-        chi2=system.lowest if loss is None else system.unweighted(system.best),
+        chi2=system.lowest if loss is None else system.chi2_without_loss(system.best),
         history=tuple(history),
         seconds=perf_counter() - begin,
         loss=None if loss is None else loss[0],
@@ -210,7 +210,7 @@ def _solve(
     )
 
 
-def _scaled(loss: str | None, scale: float | None, dof: int) -> Scaled | None:
+def _scaled(loss: str | None, scale: float | None, dof: int) -> NamedLoss | None:
     """Return a loss of the core with its scale."""
     if loss is None:
         if scale is not None:
@@ -248,7 +248,7 @@ def _initial_poses(
     return init, poses
 
 
-def _message(reason: StopReason, node: int | None, iterations: int, loss: Scaled | None) -> str:
+def _message(reason: StopReason, node: int | None, iterations: int, loss: NamedLoss | None) -> str:
     advice = None
     if reason is StopReason.SINGULAR and node is not None:
         advice = (

@@ -58,7 +58,7 @@ class PartSystem:
         self.best, self.latest = "", ""
 
     def chi2(self, poses: str, /) -> float:
-        """Return the cost at poses, and remember those of the lowest."""
+        """Return chi2 or the robust cost at poses, and remember those of the lowest."""
         if poses not in self._known:
             step = self._pending.pop(poses, None)
             before: list[Any] = [None] * len(self._index.pieces)
@@ -131,8 +131,8 @@ class PartSystem:
         """Return the chi2 that the rounding of coordinates alone makes."""
         return self._total(tasks.rounding, poses)
 
-    def unweighted(self, poses: str) -> float:
-        """Return chi2 at poses, whatever the loss."""
+    def chi2_without_loss(self, poses: str) -> float:
+        """Return chi2 at poses, without the loss."""
         return self._total(tasks.chi2, poses)
 
     def _total(self, task: Callable[[tasks.PieceFile, str], float], poses: str) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 from masat import _core, lie
 from masat.arrays import Floats
 from masat.optimizers.equations import rounding_of
-from masat.optimizers.losses import Scaled
+from masat.optimizers.losses import NamedLoss
 from masat.parts.checkpoints import read_poses, write_poses
 from masat.parts.elimination import Linearization, Message, PieceSystem, Solution
 from masat.parts.pieces import read_piece
@@ -41,7 +41,7 @@ class PieceFile(NamedTuple):
     file_hash: str
     memory: int
     limit: int
-    loss: Scaled | None
+    loss: NamedLoss | None
 
     def __sizeof__(self) -> int:
         # By this Dask estimates what it costs to move a task away from the system that it needs.
@@ -97,7 +97,7 @@ class _Workspaces:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._held: OrderedDict[tuple[str, str, str, Scaled | None], _Workspace] = OrderedDict()
+        self._held: OrderedDict[tuple[str, str, str, NamedLoss | None], _Workspace] = OrderedDict()
 
     def of(self, file: PieceFile) -> _Workspace:
         key = file.folder, file.name, file.file_hash, file.loss
