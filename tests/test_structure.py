@@ -1,3 +1,4 @@
+import pickle
 import sys
 from dataclasses import replace
 from itertools import pairwise
@@ -6,12 +7,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 
 import masat
 from masat import GraphError, PoseGraph
 from masat._core import Elimination, NormalEquations
+from masat.assembly import assemble
 from masat.structure import Structure, eliminate, nested_dissection
-from masat.worlds import sphere
+from masat.worlds import WORLDS, sphere
 
 NO_ORDER = np.empty(0, np.int32)
 
@@ -188,3 +191,14 @@ def test_a_structure_needs_no_graph():
     assert structure.edge_indices.tolist() == graph.edge_indices.tolist()
     assert structure.gauge.tolist() == graph.gauge.tolist()
     assert structure.index([9, 2]).tolist() == [6, 0]
+
+
+def test_fixes_change_the_order_of_a_graph_by_its_root_alone():
+    world = WORLDS["manhattan"](300, 500, seed=2)
+    fixed = world.with_priors(masat.gps(world.ids[5::20], world.poses[5::20, :2], 0.5))
+    graph = assemble(fixed).graph
+    alone, both = world.elimination, graph.elimination
+    order = alone.free_nodes()[alone.order()]
+    assert_array_equal(both.free_nodes()[both.order()], [*order, 0])
+    other = pickle.loads(pickle.dumps(graph.structure))
+    assert_array_equal(other.elimination.order(), both.order())

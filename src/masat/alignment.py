@@ -114,10 +114,10 @@ def rigid_motion(matches: Matches) -> Floats:
     ndarray, (3,) or (7,)
     """
     d = matches.positions.shape[1]
-    best = _motions(matches, np.ones((1, len(matches)), np.bool_))
+    which = np.ones((1, len(matches)), np.bool_)
     if len(matches) > d + 1:
-        best = _searched(matches.sample(_MAX_SEARCHED))
-        best = _motions(matches, _agreeing(matches, best))
+        which = _agreeing(matches, _searched(matches.sample(_MAX_SEARCHED)))
+    best = _motions(matches, which)
     pose: Floats = _core.nearest_rotations(np.ascontiguousarray(best.rotation))[0]
     pose[:d] = best.translation[0]
     return pose

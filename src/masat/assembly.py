@@ -67,25 +67,19 @@ class Assembly:
         Poses, landmarks and the world as nodes, in the order of their ids, the world last. Its
         edges are those of the source, its priors, its observations, one for the rotation of each
         landmark, and those that keep what is not determined.
+    poses_at, points_at : ndarray of int64, (n,) and (k,)
+        Indices of the source's poses and of its landmarks among the nodes.
     """
 
     source: PoseGraph
     graph: AssembledGraph
+    poses_at: Ids
+    points_at: Ids
 
     @property
     def world(self) -> int:
         """Index of the world among the nodes."""
         return len(self.graph.ids) - 1
-
-    @cached_property
-    def poses_at(self) -> Ids:
-        """Indices of the source's poses among the nodes, (n,)."""
-        return np.searchsorted(self.graph.ids, self.source.ids)
-
-    @cached_property
-    def points_at(self) -> Ids:
-        """Indices of the landmarks among the nodes, (k,)."""
-        return np.searchsorted(self.graph.ids, self.source.point_ids)
 
     @cached_property
     def is_point(self) -> Flags:
@@ -148,6 +142,7 @@ class Assembly:
             np.concatenate([old.edges, np.stack([world, old.ids[nodes]], 1)]),
             old.fixed,
             old.dof,
+            ordered_like=old.structure.ordered_like,
         )
         graph = replace(
             old,
@@ -206,8 +201,14 @@ def assemble(graph: PoseGraph) -> Assembly:
         flags = np.zeros(sum(map(len, z)), np.bool_)
         first = len(flags) - len(seen) - len(seen.observations)
         flags[first : first + len(seen.observations)] = seen.range_bearing
-    structure = Structure(joint.ids, np.concatenate(edges), joint.gauge, graph.dof)
     relative, information = relative_part(graph), np.concatenate(w)
+    if seen is None and relative.structure is graph.structure:
+        structure = Structure(
+            joint.ids, joint.edges, joint.gauge, graph.dof, ordered_like=graph.structure
+        )
+        structure.share_connectivity(joint)
+    else:
+        structure = Structure(joint.ids, np.concatenate(edges), joint.gauge, graph.dof)
     # Most graphs have edges of full information alone, which need not be looked at again.
     in_full = len(relative.edges) if len(relative.edges) == len(graph.edges) else 0
     assembled = AssembledGraph(
@@ -224,7 +225,12 @@ def assemble(graph: PoseGraph) -> Assembly:
         relative=relative,
         values=graph.dof * in_full + measured_directions(information[in_full:]),
     )
-    out = Assembly(graph, assembled)
+    out = Assembly(
+        graph,
+        assembled,
+        poses_at=np.searchsorted(structure.ids, graph.ids),
+        points_at=np.searchsorted(structure.ids, graph.point_ids),
+    )
     if graph.poses is None or (seen is not None and seen.positions is None):
         return out
     return out.at(out.placed(graph.poses, graph.points))

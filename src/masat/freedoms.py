@@ -133,7 +133,6 @@ class _Bodies:
         self._poses = graph.poses
         self._bodies = bodies
         self._size = np.bincount(bodies)
-        self._first = np.unique(bodies, return_index=True)[1]
         d = self._d
         self._center = np.stack(
             [np.bincount(bodies, graph.poses[:, k]) / self._size for k in range(d)], 1
@@ -218,7 +217,7 @@ class _Bodies:
         self._blocks = tuple(np.concatenate(pair) for pair in zip(self._blocks, added, strict=True))
 
     def _freedom(self, body: int, directions: Floats, exact: bool) -> Freedom:
-        d, node = self._d, int(self._first[body])
+        d, node = self._d, int(np.argmax(self._bodies == body))
         lever = _rotating(self._poses[node, :d] - self._center[body])
         motion = directions.copy()
         motion[:d] += lever @ directions[d:]

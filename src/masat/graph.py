@@ -516,6 +516,8 @@ class PoseGraph:
             return self.structure.components
         joint = self.joint_structure
         labels = joint.components[joint.index(self.ids)]
+        if not labels.any():
+            return locked(labels)
         # A landmark may have a smaller id than the poses that saw it.
         _, first, own = np.unique(labels, return_index=True, return_inverse=True)
         return locked(np.argsort(np.argsort(first))[own].astype(np.int32))

@@ -38,19 +38,32 @@ class Structure:
         Degrees of freedom of a pose: 3 or 6.
     roots : ndarray of int64, optional
         Ids that are chosen as gauge-fixed nodes of their components.
+    ordered_like : Structure, optional
+        Whose elimination order is taken over. Its nodes must be among these, and other edges must
+        not join free nodes; the free nodes that it does not eliminate follow.
     """
 
     def __init__(
-        self, ids: Ids, edges: Ids, fixed: Ids, dof: int, roots: Ids | None = None
+        self,
+        ids: Ids,
+        edges: Ids,
+        fixed: Ids,
+        dof: int,
+        roots: Ids | None = None,
+        ordered_like: Structure | None = None,
     ) -> None:
         self.ids = locked(ids)
         self.edges = locked(edges)
         self.fixed = locked(fixed)
         self.dof = dof
         self.roots = locked(np.empty(0, np.int64) if roots is None else roots)
+        self.ordered_like = ordered_like
 
-    def __reduce__(self) -> tuple[type[Structure], tuple[Ids, Ids, Ids, int, Ids]]:
-        return Structure, (self.ids, self.edges, self.fixed, self.dof, self.roots)
+    def __reduce__(
+        self,
+    ) -> tuple[type[Structure], tuple[Ids, Ids, Ids, int, Ids, Structure | None]]:
+        of_arrays = (self.ids, self.edges, self.fixed, self.dof, self.roots)
+        return Structure, (*of_arrays, self.ordered_like)
 
     def index(self, ids: ArrayLike) -> Ids:
         """Return the indices of node ids, of any shape, in `ids`; unknown ones: GraphError."""
@@ -96,6 +109,8 @@ class Structure:
         chosen root, or else the smallest id.
         """
         labels = self.components
+        if len(self.fixed) and not labels.any():
+            return self.fixed
         # Components are numbered by their smallest ids: each begins where the label first grows.
         gauge_fixed = np.flatnonzero(np.diff(np.maximum.accumulate(labels), prepend=-1))
         # In descending order, so that of several roots of one component the smallest id remains.
@@ -112,7 +127,17 @@ class Structure:
     @cached_property
     def elimination(self) -> _core.Elimination:
         """The order in which the free nodes are eliminated from the linear systems."""
-        return eliminate(self.topology, self._in_gauge(), self.dof)
+        in_gauge = self._in_gauge()
+        if self.ordered_like is None:
+            return eliminate(self.topology, in_gauge, self.dof)
+        known = self.ordered_like.elimination
+        first = self.index(self.ordered_like.ids[known.free_nodes()[known.order()]])
+        first = first[~in_gauge[first]]
+        last = ~in_gauge
+        last[first] = False
+        place = np.cumsum(~in_gauge, dtype=np.int32) - 1
+        order = place[np.concatenate([first, np.flatnonzero(last)])]
+        return _core.Elimination(self.topology, in_gauge, order.astype(np.int32))
 
     def with_roots(self, roots: ArrayLike, components: Indices | None = None) -> Structure:
         """Return the structure with other gauge-fixed nodes, the connectivity shared.

@@ -165,14 +165,20 @@ class _Placing:
         if self._offsets is not None:
             sensor = lie.compose(sensor, self._offsets[rows])
         own, target = np.where(behind, seen_from, sensor), np.where(behind, sensor, seen_from)
-        turn, target_turn = _rotations(own), _rotations(target)
         w_t, w_r = self._translation[rows], self._rotation[rows]
         begins = np.searchsorted(body, np.arange(len(bodies) + 1))
         for k, (first, end) in enumerate(pairwise(begins)):
             p = first + np.flatnonzero(w_t[first:end] > 0)
             r = first + np.flatnonzero(w_r[first:end] > 0)
             motion = rigid_motion(
-                Matches(own[p, :d], target[p, :d], w_t[p], turn[r], target_turn[r], w_r[r])
+                Matches(
+                    positions=own[p, :d],
+                    targets=target[p, :d],
+                    position_weights=w_t[p],
+                    rotations=_rotations(own[r]),
+                    target_rotations=_rotations(target[r]),
+                    rotation_weights=w_r[r],
+                )
             )
             nodes = self._nodes_of.of(bodies[k])
             self.poses[nodes] = lie.compose(motion, self.poses[nodes])

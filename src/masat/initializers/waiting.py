@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import heapq
 
+import numpy as np
+
 from masat.arrays import Floats, Ids, Indices
 
 
@@ -34,13 +36,25 @@ class WaitingBodies:
 
     def add(self, bodies: Indices, rows: Ids, positions: Floats, rotations: Floats) -> None:
         """Add edges that lead to bodies, with their weights of positions and rotations."""
-        edges = zip(
-            bodies.tolist(), rows.tolist(), positions.tolist(), rotations.tolist(), strict=True
+        order = np.argsort(bodies, kind="stable")
+        bodies, rows, positions, rotations = (
+            array[order] for array in (bodies, rows, positions, rotations)
         )
-        for body, row, position, rotation in edges:
-            self.rows[body].append(row)
-            self._positions[body] += position > 0
-            self._rotations[body] += rotation > 0
+        begins = np.flatnonzero(np.diff(bodies, prepend=-1))
+        if len(begins) == 0:
+            return
+        sums = (
+            np.add.reduceat(values, begins).tolist()
+            for values in (positions > 0, rotations > 0, positions, rotations)
+        )
+        ends = np.append(begins[1:], len(bodies))
+        edges, parts = rows.tolist(), zip(begins.tolist(), ends.tolist(), strict=True)
+        for body, (begin, end), p, r, position, rotation in zip(
+            bodies[begins].tolist(), parts, *sums, strict=True
+        ):
+            self.rows[body] += edges[begin:end]
+            self._positions[body] += p
+            self._rotations[body] += r
             self._position_weights[body] += position
             self._rotation_weights[body] += rotation
             if self._positions[body] >= self._enough:

@@ -96,15 +96,20 @@ def _at_half_turn(graph: PoseGraph, poses: Floats, edges: Flags | slice) -> bool
         return False
     lengths = np.sqrt(np.square(e).sum(axis=1))
     half_turn = np.pi if d == 2 else 1.0
-    near = half_turn - lengths < _NEAR_HALF_TURN[d]
-    if isinstance(graph, AssembledGraph) and near.any():
-        measured = _measured_lengths(e[near], graph.information[edges][near, d:, d:])
+    near = np.flatnonzero(half_turn - lengths < _NEAR_HALF_TURN[d])
+    if isinstance(graph, AssembledGraph) and len(near):
+        information = graph.information[edges][near, d:, d:]
+        # Position fixes measure no rotation at all.
+        some = information.any(axis=(1, 2))
+        measured = _measured_lengths(e[near[some]], information[some])
         return bool((half_turn - measured < _NEAR_HALF_TURN[d]).any())
-    return bool(near.any())
+    return len(near) > 0
 
 
 def _measured_lengths(e: Floats, information: Floats) -> Floats:
     """Return the lengths of rotation residuals, (k,), along the axes that were measured."""
+    if len(e) == 0:
+        return np.empty(0)
     values, axes = np.linalg.eigh(information)
     along = (axes.transpose(0, 2, 1) @ e[..., None])[..., 0]
     measured = values > _UNMEASURED * values[:, -1:]
