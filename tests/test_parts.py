@@ -1,5 +1,6 @@
 import gc
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from masat.parts.checkpoints import GIVEN, read_poses, write_poses
 from masat.parts.cost import homes
 from masat.parts.elimination import PieceSystem
 from masat.parts.engines import InTurn
+from masat.parts.guess import GUESSES
 from masat.parts.pieces import read_piece, read_separators
 from masat.parts.system import PartSystem
 from masat.worlds import add_false_closures, city, manhattan, perturb, sphere
@@ -148,7 +150,7 @@ def test_components_and_fixed_nodes_are_parted_too(tmp_path):
         np.testing.assert_allclose(poses, best.poses[:-1], atol=1e-7)
 
 
-@pytest.mark.parametrize("init", ["masat", "spanning_tree"])
+@pytest.mark.parametrize("init", GUESSES)
 @pytest.mark.parametrize("name", GRAPHS)
 def test_a_guess_goes_from_part_to_part(tmp_path, name, init):
     # Exact measurements: every path from the root leads to the same pose.
@@ -166,8 +168,22 @@ def test_a_guess_goes_from_part_to_part(tmp_path, name, init):
 def test_a_solve_from_a_guess_by_parts_finds_the_minimum(tmp_path):
     bare = PoseGraph.from_arrays(CITY.edges, CITY.measurements, CITY.information)
     found = masat.partition(bare, tmp_path / "parts", 4).solve()
-    assert found.init == "masat"
+    assert found.init == "chordal"
     assert found.chi2 == pytest.approx(masat.optimize(CITY).chi2, rel=1e-9)
+
+
+@pytest.mark.parametrize("memory", [None, 0])
+@pytest.mark.parametrize("name", GRAPHS)
+def test_the_chordal_guess_of_parts_is_that_of_the_graph(tmp_path, name, memory):
+    graph = GRAPHS[name].with_fixed(GRAPHS[name].ids[[3, -1]])
+    bare = replace(graph, fixed=graph.fixed[:1], poses=None)
+    for given in (graph, bare):
+        made = masat.partition(given, tmp_path / str(len(given.fixed)), 5)
+        found = made.solve(init="chordal", max_iterations=0, memory=memory)
+        whole = masat.initialize(given, "chordal")
+        assert found.initial_chi2 == pytest.approx(whole.chi2, rel=1e-9)
+        at = whole.index(made.poses()[0])
+        np.testing.assert_allclose(lie.local(whole.poses[at], made.poses()[1]), 0, atol=1e-8)
 
 
 def test_little_memory_takes_time_and_nothing_else(tmp_path, monkeypatch):
@@ -275,8 +291,8 @@ def test_a_solve_that_cannot_be_is_refused(tmp_path):
         made.poses()
     with pytest.raises(PartitionError, match="the graph had no poses"):
         made.solve(init="given")
-    with pytest.raises(PartitionError, match="unknown initial guess 'chordal'"):
-        made.solve(init="chordal")
+    with pytest.raises(PartitionError, match="unknown initial guess 'lago'"):
+        made.solve(init="lago")
     with pytest.raises(masat.OptimizationError, match="unknown optimizer 'dogleg'"):
         made.solve("dogleg")
 

@@ -1,10 +1,8 @@
 // The normal equations of the optimizers.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/unique_ptr.h>
-#include <nanobind/stl/vector.h>
 
 #include <cstddef>
 #include <cstdint>
@@ -17,6 +15,7 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
+#include "bindings/parts.hpp"
 #include "factors/loss.hpp"
 #include "graph/topology.hpp"
 #include "optimizers/normal_equations.hpp"
@@ -25,8 +24,6 @@ namespace masat {
 namespace {
 
 using namespace nb::literals;
-
-using ElementArrays = std::pair<Vector<std::int32_t>, Vector<double>>;
 
 // Keeps alive what the equations refer to.
 template <class Group>
@@ -83,10 +80,8 @@ const double* check_poses(const NormalEquations& equations, const Table<double>&
   return poses.data();
 }
 
-std::size_t unknowns(const NormalEquations& e) { return e.free_nodes().size() * e.dof(); }
-
 Array<double> step_of(NormalEquations& equations) {
-  std::vector<double> step(unknowns(equations));
+  std::vector<double> step(rows_of(equations));
   {
     nb::gil_scoped_release release;
     equations.solve(step.data());
@@ -94,39 +89,10 @@ Array<double> step_of(NormalEquations& equations) {
   return as_array(std::move(step));
 }
 
-// Factorizes; each element is a pair of node indices, among the free ones, and a packed block.
-std::int32_t factorize(NormalEquations& equations, const Vector<double>& damping,
-                       const std::vector<ElementArrays>& given) {
-  require(damping.shape(0) == unknowns(equations), "damping must have an entry an unknown");
-  std::vector<Element> elements;
-  for (const auto& [nodes, block] : given) {
-    const std::size_t scalars = nodes.shape(0) * equations.dof();
-    require(block.shape(0) == scalars * (scalars + 1) / 2, "an element is a packed triangle");
-    elements.push_back({span_of(nodes), block.data()});
-  }
-  require(static_cast<std::int32_t>(elements.size()) ==
-              equations.elimination().tree().interface.elements,
-          "one block an element");
-  nb::gil_scoped_release release;
-  return equations.factorize(span_of(damping), elements);
-}
-
-// A copy of a vector with an entry an unknown, changed by `change` without the interpreter's lock.
-template <class Change>
-Array<double> changed(const NormalEquations& equations, const Vector<double>& v, Change change) {
-  require(v.shape(0) == unknowns(equations), "the vector must have an entry an unknown");
-  std::vector<double> out(v.data(), v.data() + v.shape(0));
-  {
-    nb::gil_scoped_release release;
-    change(std::span<double>(out));
-  }
-  return as_array(std::move(out));
-}
-
 Array<double> moved(const NormalEquations& equations, const Table<double>& poses,
                     const Vector<double>& step) {
   const double* const p = check_poses(equations, poses);
-  require(step.shape(0) == unknowns(equations), "the step must have an entry an unknown");
+  require(step.shape(0) == rows_of(equations), "the step must have an entry an unknown");
   std::vector<double> out(poses.size());
   {
     nb::gil_scoped_release release;
@@ -172,7 +138,8 @@ void bind_losses(nb::module_& m) {
 
 void bind_equations(nb::module_& m) {
   bind_losses(m);
-  nb::class_<NormalEquations>(m, "NormalEquations")
+  nb::class_<NormalEquations> equations(m, "NormalEquations");
+  equations
       .def(nb::new_(&make_equations), "topology"_a, "elimination"_a, "measurements"_a,
            "information"_a, "threads"_a = 1, "offsets"_a = nb::none(),
            "range_bearing"_a = nb::none())
@@ -224,15 +191,15 @@ void bind_equations(nb::module_& m) {
            })
       .def("diagonal",
            [](const NormalEquations& e) {
-             std::vector<double> out(unknowns(e));
+             std::vector<double> out(rows_of(e));
              e.diagonal(out.data());
              return as_array(std::move(out));
            })
       .def(
           "multiply",
           [](const NormalEquations& e, const Vector<double>& v) {
-            require(v.shape(0) == unknowns(e), "the vector must have an entry an unknown");
-            std::vector<double> out(unknowns(e));
+            require(v.shape(0) == rows_of(e), "the vector must have an entry an unknown");
+            std::vector<double> out(rows_of(e));
             {
               nb::gil_scoped_release release;
               e.multiply(v.data(), out.data());
@@ -240,22 +207,8 @@ void bind_equations(nb::module_& m) {
             return as_array(std::move(out));
           },
           "v"_a)
-      .def("factorize", &factorize, "damping"_a, "elements"_a = std::vector<ElementArrays>())
       .def("pivot_ratio", &NormalEquations::pivot_ratio)
       .def("solve", &step_of)
-      .def("contribution", [](const NormalEquations& e) { return as_array(e.contribution()); })
-      .def(
-          "reduce",
-          [](const NormalEquations& e, const Vector<double>& rhs) {
-            return changed(e, rhs, [&](std::span<double> x) { e.reduce(x); });
-          },
-          "rhs"_a)
-      .def(
-          "substitute",
-          [](const NormalEquations& e, const Vector<double>& x) {
-            return changed(e, x, [&](std::span<double> v) { e.substitute(v); });
-          },
-          "x"_a)
       .def(
           "inverse",
           [](const NormalEquations& e, const Vector<std::int32_t>& rows,
@@ -265,6 +218,7 @@ void bind_equations(nb::module_& m) {
           },
           "rows"_a, "columns"_a)
       .def("retract", &moved, "poses"_a, "step"_a);
+  bind_part(equations);
 }
 
 }  // namespace masat

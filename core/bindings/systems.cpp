@@ -14,6 +14,7 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
+#include "bindings/parts.hpp"
 #include "factors/relative_pose.hpp"
 #include "factors/sensor.hpp"
 #include "graph/topology.hpp"
@@ -78,8 +79,9 @@ std::unique_ptr<GraphMatrix> make_matrix(std::shared_ptr<Elimination> eliminatio
 }
 
 void check_graph(const GraphMatrix& matrix, const Topology& graph) {
+  // The elimination of a part has further edges, to its elements.
   require(graph.nodes() == matrix.elimination()->nodes() &&
-              static_cast<std::int64_t>(graph.edges().size()) == matrix.elimination()->edges(),
+              static_cast<std::int64_t>(graph.edges().size()) <= matrix.elimination()->edges(),
           "the elimination must be of the same graph");
 }
 
@@ -140,31 +142,56 @@ Array<double> assembled_poses(GraphMatrix& matrix, const Topology& graph,
   return as_array(std::move(rhs), {matrix.rows() / d, d, columns});
 }
 
+// Calls f with the factors of measured translations, and with the group.
+template <class F>
+void with_translations(const Topology& graph, const GraphMatrix& matrix,
+                       const Table<double>& measurements, const Stack& information,
+                       const Table<double>& poses, const std::optional<Table<double>>& offsets,
+                       F f) {
+  check_poses(graph, measurements, poses);
+  check_graph(matrix, graph);
+  const double* const moved = data_of(offsets, measurements.shape(0), poses.shape(1));
+  with_group(poses.shape(1), [&]<class Group>(Group* group) {
+    require(matrix.block_size() == Group::kDimension, "blocks must have a row a coordinate");
+    require(information.shape(0) == graph.edges().size() && information.shape(1) == Group::kDof &&
+                information.shape(2) == Group::kDof,
+            "information must be (m, d, d)");
+    nb::gil_scoped_release release;
+    if (moved == nullptr) {
+      f(group, RelativePoseFactors<Group>(graph.edges(), measurements.data(), information.data()));
+    } else {
+      f(group, SensorFactors<Group>(graph.edges(), measurements.data(), information.data(), moved,
+                                    nullptr));
+    }
+  });
+}
+
+Array<double> assembled_translations(GraphMatrix& matrix, const Topology& graph,
+                                     const Table<double>& measurements, const Stack& information,
+                                     const Table<double>& poses,
+                                     const std::optional<Table<double>>& offsets) {
+  std::vector<double> rhs;
+  with_translations(graph, matrix, measurements, information, poses, offsets,
+                    [&]<class Group>(Group*, const auto& factors) {
+                      rhs = assemble_translations<Group>(
+                          factors, matrix, typename Group::Table(poses.data(), graph.nodes()));
+                    });
+  const std::size_t d = matrix.block_size();
+  return as_array(std::move(rhs), {matrix.rows() / d, d, 1});
+}
+
 // The poses, and -1 or the node whose translation is not determined.
 nb::tuple solved_translations(const Topology& graph, GraphMatrix& matrix,
                               const Table<double>& measurements, const Stack& information,
                               const Table<double>& poses,
                               const std::optional<Table<double>>& offsets) {
-  check_poses(graph, measurements, poses);
-  check_graph(matrix, graph);
-  const double* const moved = data_of(offsets, measurements.shape(0), poses.shape(1));
   std::int32_t failed = -1;
-  auto out = placed(poses, [&]<class Group>(Group*, double* p) {
-    require(matrix.block_size() == Group::kDimension, "blocks must have a row a coordinate");
-    require(information.shape(0) == graph.edges().size() && information.shape(1) == Group::kDof &&
-                information.shape(2) == Group::kDof,
-            "information must be (m, d, d)");
-    const auto solve = [&](const auto& factors) {
-      failed = solve_translations<Group>(factors, matrix, p);
-    };
-    if (moved == nullptr) {
-      solve(RelativePoseFactors<Group>(graph.edges(), measurements.data(), information.data()));
-    } else {
-      solve(SensorFactors<Group>(graph.edges(), measurements.data(), information.data(), moved,
-                                 nullptr));
-    }
-  });
-  return nb::make_tuple(out, failed);
+  std::vector<double> out(poses.data(), poses.data() + poses.size());
+  with_translations(graph, matrix, measurements, information, poses, offsets,
+                    [&]<class Group>(Group*, const auto& factors) {
+                      failed = solve_translations<Group>(factors, matrix, out.data());
+                    });
+  return nb::make_tuple(as_array(std::move(out), {poses.shape(0), poses.shape(1)}), failed);
 }
 
 }  // namespace
@@ -190,20 +217,13 @@ void bind_systems(nb::module_& m) {
       .def("fill", &Elimination::fill, "block_size"_a)
       .def("operations", &Elimination::operations, "block_size"_a);
 
-  nb::class_<GraphMatrix>(m, "GraphMatrix")
-      .def(nb::new_(&make_matrix), "elimination"_a, "block_size"_a)
+  nb::class_<GraphMatrix> matrix(m, "GraphMatrix");
+  matrix.def(nb::new_(&make_matrix), "elimination"_a, "block_size"_a)
       .def("assemble", &assembled, "topology"_a, "first"_a, "joint"_a, "second"_a, "values"_a)
       .def("assemble_poses", &assembled_poses, "topology"_a, "measurements"_a, "rotation"_a,
            "translation"_a, "values"_a, "offsets"_a = nb::none())
-      .def(
-          "factorize",
-          [](GraphMatrix& matrix, const Vector<double>& damping) {
-            require(damping.shape(0) == static_cast<std::size_t>(matrix.rows()),
-                    "damping must have an entry a row");
-            nb::gil_scoped_release release;
-            return matrix.factorize(span_of(damping));
-          },
-          "damping"_a)
+      .def("assemble_translations", &assembled_translations, "topology"_a, "measurements"_a,
+           "information"_a, "poses"_a, "offsets"_a = nb::none())
       .def("pivot_ratio", &GraphMatrix::pivot_ratio)
       .def(
           "solve",
@@ -225,6 +245,7 @@ void bind_systems(nb::module_& m) {
                                      columns);
           },
           "rows"_a, "columns"_a);
+  bind_part(matrix);
 
   m.def("free_workspace", &Multifrontal::free_workspace);
   m.def("solve_translations", &solved_translations, "topology"_a, "matrix"_a, "measurements"_a,

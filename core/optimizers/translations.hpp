@@ -47,15 +47,23 @@ class TranslationSystem {
   NormalSystem<d> inner_;
 };
 
+// Sets the system of the translations in the body frames, from those that the poses have; returns
+// its right-hand side. The blocks of the matrix have a row a coordinate.
+template <LieGroup Group, class Factors>
+std::vector<double> assemble_translations(const Factors& factors, GraphMatrix& matrix,
+                                          const typename Group::Table& poses) {
+  TranslationSystem<Group> system(matrix, factors.edges());
+  linearize(factors, poses, EdgeLosses(), system);
+  return std::move(system).take_rhs();
+}
+
 // Moves the poses of the free nodes. Residuals are linear in the translations: one Gauss-Newton
-// step in them is exact. Leaves its system in the matrix, whose blocks have a row a coordinate.
-// Returns -1, or the node whose translation is not determined.
+// step in them is exact. Leaves its system in the matrix. Returns -1, or the node whose translation
+// is not determined.
 template <LieGroup Group, class Factors>
 std::int32_t solve_translations(const Factors& factors, GraphMatrix& matrix, double* poses) {
   const typename Group::Table pose(poses, matrix.elimination()->nodes());
-  TranslationSystem<Group> system(matrix, factors.edges());
-  linearize(factors, pose, EdgeLosses(), system);
-  std::vector<double> step = std::move(system).take_rhs();
+  std::vector<double> step = assemble_translations<Group>(factors, matrix, pose);
   const std::vector<double> undamped(step.size());
   const std::span<const std::int32_t> free = matrix.elimination()->free_nodes();
   const std::int32_t failed = matrix.factorize(undamped);

@@ -24,12 +24,11 @@ class EdgeBlocks(NamedTuple):
     second: Floats
 
 
-def rotation_blocks(graph: PoseGraph, weight: Floats) -> EdgeBlocks:
+def rotation_blocks(measurements: Floats, weight: Floats) -> EdgeBlocks:
     """Return the blocks of weight |R_j - R_i R|^2, the unknowns being X_i = R_i'."""
-    d = graph.dimension
-    same = weight[:, None, None] * np.eye(d)
-    joint = -weight[:, None, None] * _core.rotation_matrices(graph.measurements)
-    return EdgeBlocks(same, joint, same)
+    rotations = _core.rotation_matrices(measurements)
+    same = weight[:, None, None] * np.eye(rotations.shape[1])
+    return EdgeBlocks(same, -weight[:, None, None] * rotations, same)
 
 
 class LinearProblem:
@@ -81,8 +80,13 @@ class LinearProblem:
 
 def undetermined(graph: PoseGraph, node: int, what: str = "pose") -> InitializationError:
     """Return the error for a node, given by its index, that its edges do not determine."""
+    return undetermined_node(int(graph.ids[node]), what)
+
+
+def undetermined_node(node: int, what: str) -> InitializationError:
+    """Return the error for a node, given by its id, that its edges do not determine."""
     return InitializationError(
-        f"the edges around node {graph.ids[node]} do not determine its {what}: masat.diagnose, or "
+        f"the edges around node {node} do not determine its {what}: masat.diagnose, or "
         "masat info, tells where information is nearly singular"
     )
 

@@ -93,7 +93,7 @@ class _Laplacian:
         of the space of that, of X and of the X before. Source: Knyazev, Toward the optimal
         preconditioned eigensolver, SISC 2001.
         """
-        blocks = linear.rotation_blocks(self._graph, self._weight)
+        blocks = linear.rotation_blocks(self._graph.measurements, self._weight)
         problem = linear.LinearProblem(self._graph, blocks, self._known)
         chordal = problem.solve()
         energies = self._energies(chordal)

@@ -37,9 +37,8 @@ class WaitingBodies:
     def add(self, bodies: Indices, rows: Ids, positions: Floats, rotations: Floats) -> None:
         """Add edges that lead to bodies, with their weights of positions and rotations."""
         order = np.argsort(bodies, kind="stable")
-        bodies, rows, positions, rotations = (
-            array[order] for array in (bodies, rows, positions, rotations)
-        )
+        bodies, rows = bodies[order], rows[order]
+        positions, rotations = positions[order], rotations[order]
         begins = np.flatnonzero(np.diff(bodies, prepend=-1))
         if len(begins) == 0:
             return

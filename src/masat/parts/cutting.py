@@ -19,7 +19,7 @@ from masat.groups import Groups
 from masat.initializers import initialize
 from masat.parts.checkpoints import GIVEN, write_poses
 from masat.parts.dissection import Dissection, checked_labels, dissect, given_labels, metis_labels
-from masat.parts.elimination import PieceSystem
+from masat.parts.elimination import PieceNodes
 from masat.parts.index import Entry, Index
 from masat.parts.ordering import ordered
 from masat.parts.pieces import Piece, hash_of, write_piece
@@ -121,14 +121,14 @@ class _Cut:
 
     def write(self, k: int, folder: Path, graph_hash: str) -> Entry:
         """Write a piece, and its poses if the graph has any; return what the index tells of it."""
-        piece, system = self._piece(k)
+        piece, nodes = self._piece(k)
         graph, dof = self._graph, self._graph.dof
         kind, number = ("part", k) if k < self._tree.parts else ("separator", k - self._tree.parts)
         file = folder / f"{kind}-{number}.npz"
         file_hash = write_piece(file, piece, graph_hash)
         if graph.poses is not None:
-            nodes = np.concatenate([self._nodes.of(k), self._boundaries[k]])
-            write_poses(str(folder), GIVEN, file.name, graph.poses[nodes])
+            free = np.concatenate([self._nodes.of(k), self._boundaries[k]])
+            write_poses(str(folder), GIVEN, file.name, graph.poses[free])
         blocks = len(piece.ids) + len(piece.edges) + len(piece.child_nodes)
         measured = piece.measurements.nbytes + piece.information.nbytes + piece.edges.nbytes
         at_boundary = piece.boundary * dof
@@ -141,15 +141,15 @@ class _Cut:
             own=piece.own,
             boundary=piece.boundary,
             edges=len(piece.edges),
-            operations=system.elimination.operations(dof),
-            memory=system.elimination.factor_bytes(dof) + 8 * blocks * dof * dof + measured,
+            operations=nodes.elimination.operations(dof),
+            memory=nodes.elimination.factor_bytes(dof) + 8 * blocks * dof * dof + measured,
             # The values at the boundary. Contribution blocks on their way to it lie on two stacks,
             # each of which comes to hold a block of about its size.
             workspace=3 * 8 * at_boundary**2,
             message=8 * (at_boundary * (at_boundary + 1) // 2 + at_boundary),
         )
 
-    def _piece(self, k: int) -> tuple[Piece, PieceSystem]:
+    def _piece(self, k: int) -> tuple[Piece, PieceNodes]:
         graph = self._graph
         own, boundary, rows = self._nodes.of(k), self._boundaries[k], self._edges.of(k)
         ends = graph.edge_indices[rows]
@@ -181,7 +181,7 @@ class _Cut:
             range_bearing=_rows(graph.range_bearing_edges, rows),
         )
         if separator:
-            return piece, PieceSystem(piece)
+            return piece, PieceNodes(piece)
         return ordered(piece, graph.dof)
 
     def _within(self, separator: int, nodes: Ids) -> Indices:

@@ -1,15 +1,15 @@
-"""The linear system of a piece: set up, eliminated up to its boundary, solved from there."""
+"""The linear systems of a piece: set up, eliminated up to its boundary, solved from there."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from masat import _core, lie
-from masat.arrays import Floats, Indices
+from masat.arrays import Flags, Floats, Indices
 from masat.optimizers.damped import LINEAR, damping_scale
 from masat.optimizers.losses import LOSSES, NamedLoss
 from masat.optimizers.termination import largest
@@ -45,8 +45,8 @@ class Message(NamedTuple):
     ----------
     block : ndarray
         The Schur complement, lower triangle, packed column by column.
-    rhs : ndarray
-        The reduced right-hand side.
+    rhs : ndarray, (b, k)
+        The reduced right-hand sides.
     failed : int or None
         The id of a node at which the matrix is not positive definite; then nothing else is known.
     """
@@ -74,55 +74,153 @@ class Solution(NamedTuple):
     predicted: float
 
 
-class PieceSystem:
-    """The normal equations of a piece.
+class PieceNodes:
+    """The nodes of the systems of a piece, and how they are eliminated.
 
-    The nodes are its own, its boundary, one for the contribution block of each child, and the
-    fixed ones.
+    They are its own, its boundary, one for the contribution block of each child, and the fixed
+    ones.
 
     Parameters
     ----------
     piece : Piece
         The piece.
-    loss : tuple of str and float, optional
-        Name and scale of the loss that is minimized. Default: chi2 is.
     """
 
-    def __init__(self, piece: Piece, loss: NamedLoss | None = None) -> None:
+    def __init__(self, piece: Piece) -> None:
         self.piece = piece
-        self._loss = None if loss is None else _core.Loss(LOSSES[loss[0]].kind, loss[1])
-        self._dof = lie.DOF[piece.dimension]
-        self._free = piece.own + piece.boundary
-        self._nodes = len(piece.ids) + piece.children
-        self._step_size = self._free * self._dof
+        self.free = piece.own + piece.boundary
+        self.count = len(piece.ids) + piece.children
 
     @cached_property
     def topology(self) -> _core.Topology:
         """The adjacency by the edges."""
-        return _core.Topology(self._nodes, self._edges)
+        return _core.Topology(self.count, self._edges)
 
     @cached_property
     def elimination(self) -> _core.Elimination:
         """How the own nodes are eliminated, around the blocks of the children."""
         piece = self.piece
-        elements = self._free + np.arange(piece.children, dtype=np.int32)
+        elements = self.free + np.arange(piece.children, dtype=np.int32)
         joined = np.repeat(elements, np.diff(piece.child_start))
         edges = np.concatenate([self._edges, np.stack([joined, piece.child_nodes], 1)])
-        fixed = np.zeros(self._nodes, np.bool_)
-        fixed[self._free + piece.children :] = True
-        boundary = np.arange(piece.own, self._free, dtype=np.int32)
-        order = np.concatenate([elements, piece.order, boundary])
-        topology = _core.Topology(self._nodes, np.ascontiguousarray(edges))
-        return _core.Elimination(topology, fixed, order, piece.boundary, piece.children)
+        order = np.concatenate(
+            [elements, piece.order, np.arange(piece.own, self.free, dtype=np.int32)]
+        )
+        topology = _core.Topology(self.count, np.ascontiguousarray(edges))
+        return _core.Elimination(topology, self.fixed, order, piece.boundary, piece.children)
+
+    @cached_property
+    def fixed(self) -> Flags:
+        """Which nodes are fixed."""
+        return np.arange(self.count) >= self.free + self.piece.children
+
+    def poses(self, free: Floats) -> Floats:
+        """Return poses of all nodes; those that stand for blocks of children have no edges."""
+        unused = np.tile(lie.identity(self.piece.dimension), (self.piece.children, 1))
+        return np.concatenate([free, unused, self.piece.fixed_poses])
+
+    @cached_property
+    def _edges(self) -> Indices:
+        fixed = self.piece.edges >= self.free
+        edges: Indices = np.where(fixed, self.piece.edges + self.piece.children, self.piece.edges)
+        return np.ascontiguousarray(edges.astype(np.int32))
+
+
+class Eliminated:
+    """A linear system of a piece without its own nodes, and what is left at the boundary.
+
+    Parameters
+    ----------
+    piece : Piece
+        The piece.
+    matrix : NormalEquations or GraphMatrix
+        Its matrix H.
+    size : int
+        Rows of a node.
+    rhs : ndarray, (r, k)
+        The right-hand sides of all rows of the matrix. Overwritten.
+    damping : ndarray, (r,)
+        What is added to the diagonal.
+    messages : sequence of Message
+        Those of the children.
+    """
+
+    def __init__(
+        self,
+        piece: Piece,
+        matrix: _core.NormalEquations | _core.GraphMatrix,
+        size: int,
+        rhs: Floats,
+        damping: Floats,
+        messages: Sequence[Message],
+    ) -> None:
+        nothing = np.empty(0)
+        for message in messages:
+            if message.failed is not None:
+                self.message = message
+                return
+        self._piece, self._matrix, self._size = piece, matrix, size
+        self._own, self._all = piece.own * size, (piece.own + piece.boundary) * size
+        for k, message in enumerate(messages):
+            shape = -1, size, rhs.shape[1]
+            rhs.reshape(shape)[piece.child(k)] += message.rhs.reshape(shape)
+        blocks = [(piece.child(k), message.block) for k, message in enumerate(messages)]
+        failed = matrix.factorize(damping, blocks)
+        if failed >= 0:
+            self.message = Message(nothing, nothing, int(piece.ids[failed]))
+            return
+        self._reduced = _by_columns(matrix.reduce, rhs)
+        self.message = Message(matrix.contribution(), self._reduced[self._own : self._all].copy())
+
+    def solve(self, above: Floats | None) -> Floats:
+        """Return the solution at the own nodes and at the boundary, (r, k).
+
+        Parameters
+        ----------
+        above : ndarray, optional
+            That of the parent; None without one.
+        """
+        x = self._reduced
+        if above is not None:
+            x = x.copy()
+            values = above.reshape(-1, self._size, x.shape[1])[self._piece.in_parent]
+            x[self._own : self._all] = values.reshape(-1, x.shape[1])
+        return _by_columns(self._matrix.substitute, x)[: self._all]
+
+
+def _by_columns(change: Callable[[Floats], Floats], rows: Floats) -> Floats:
+    """Return a table whose columns are changed one by one."""
+    out = np.empty_like(rows)
+    for k in range(rows.shape[1]):
+        out[:, k] = change(np.ascontiguousarray(rows[:, k]))
+    return out
+
+
+class PieceSystem:
+    """The normal equations of a piece.
+
+    Parameters
+    ----------
+    nodes : PieceNodes
+        The nodes of the piece.
+    loss : tuple of str and float, optional
+        Name and scale of the loss that is minimized. Default: chi2 is.
+    """
+
+    def __init__(self, nodes: PieceNodes, loss: NamedLoss | None = None) -> None:
+        self.piece, self._nodes = nodes.piece, nodes
+        self._loss = None if loss is None else _core.Loss(LOSSES[loss[0]].kind, loss[1])
+        self._dof = lie.DOF[nodes.piece.dimension]
+        self._step_size = nodes.free * self._dof
 
     def chi2(self, poses: Floats) -> float:
         """Return the chi2 of the edges, at poses of the own nodes and of the boundary."""
-        return self._equations.chi2(self._all(poses))
+        return self._equations.chi2(self._nodes.poses(poses))
 
     def linearize(self, poses: Floats) -> Linearization:
         """Set the system at poses of the own nodes and of the boundary."""
         piece, d = self.piece, self.piece.dimension
-        at = self._all(poses)
+        at = self._nodes.poses(poses)
         if self._loss is None:
             cost = self._equations.linearize(at)
         else:
@@ -158,25 +256,16 @@ class PieceSystem:
             Those of the children.
         """
         piece, end = self.piece, self.piece.own * self._dof
-        for message in messages:
-            if message.failed is not None:
-                return message
         rhs = self._equations.rhs()
-        for k, message in enumerate(messages):
-            rhs.reshape(-1, self._dof)[piece.child(k)] += message.rhs.reshape(-1, self._dof)
         self._damping = np.zeros_like(rhs)
         if damping > 0 and end > 0:
             if diagonal is None:
                 diagonal = self._equations.diagonal()[:end]
             self._damping[:end] = damping * damping_scale(diagonal, piece.dimension, floor)
-        blocks = [(piece.child(k), message.block) for k, message in enumerate(messages)]
-        failed = self._equations.factorize(self._damping, blocks)
-        if failed >= 0:
-            nothing = np.empty(0)
-            return Message(nothing, nothing, int(piece.ids[failed]))
-        self._reduced = self._equations.reduce(rhs)
-        at_boundary = self._reduced[end : self._step_size]
-        return Message(self._equations.contribution(), at_boundary.copy())
+        self._eliminated = Eliminated(
+            piece, self._equations, self._dof, rhs[:, None], self._damping, messages
+        )
+        return self._eliminated.message
 
     def substitute(self, above: Floats | None) -> Solution:
         """Return the step after an elimination.
@@ -186,37 +275,21 @@ class PieceSystem:
         above : ndarray, optional
             The step of the parent; None without one.
         """
-        piece, end = self.piece, self.piece.own * self._dof
-        x = self._reduced
-        if above is not None:
-            x = x.copy()
-            values = above.reshape(-1, self._dof)[piece.in_parent]
-            x[end : self._step_size] = values.ravel()
-        step = self._equations.substitute(x)[: self._step_size]
+        end = self.piece.own * self._dof
+        step = self._eliminated.solve(above)[:, 0]
         own = step[:end]
         gradient = float((step * self._equations.rhs()[: self._step_size]).sum())
         damped = float((self._damping[:end] * np.square(own)).sum())
         return Solution(step, float(np.square(own).sum()), gradient + damped)
 
     @cached_property
-    def _edges(self) -> Indices:
-        fixed = self.piece.edges >= self._free
-        edges: Indices = np.where(fixed, self.piece.edges + self.piece.children, self.piece.edges)
-        return np.ascontiguousarray(edges.astype(np.int32))
-
-    @cached_property
     def _equations(self) -> _core.NormalEquations:
         piece = self.piece
         return _core.NormalEquations(
-            self.topology,
-            self.elimination,
+            self._nodes.topology,
+            self._nodes.elimination,
             piece.measurements,
             piece.information,
             offsets=piece.offsets,
             range_bearing=piece.range_bearing,
         )
-
-    def _all(self, poses: Floats) -> Floats:
-        """Return poses of all nodes; those that stand for blocks of children have no edges."""
-        unused = np.tile(lie.identity(self.piece.dimension), (self.piece.children, 1))
-        return np.concatenate([poses, unused, self.piece.fixed_poses])

@@ -1,7 +1,8 @@
-"""An initial guess that goes from piece to piece, from the nodes that are not optimized.
+"""Initial guesses of a graph in pieces.
 
-In each piece the nodes are placed from those of its boundary that other pieces have placed.
-Pieces that can go on at the same time do.
+MASAT and the spanning tree go from piece to piece, from the nodes that are not optimized: in each,
+the nodes are placed from those of its boundary that other pieces have placed. Pieces that can go
+on at the same time do. The chordal guess eliminates its two systems as the optimizers do theirs.
 """
 
 from __future__ import annotations
@@ -15,10 +16,15 @@ import numpy as np
 from masat import _core, lie
 from masat.arrays import Flags, Floats, Ids
 from masat.errors import PartitionError
+from masat.linear import undetermined_node
+from masat.parts import tasks
 from masat.parts.checkpoints import read_poses, write_poses
+from masat.parts.chordal import Linear
+from masat.parts.elimination import Message
 from masat.parts.engines import Engine
 from masat.parts.index import Index
 from masat.parts.pieces import read_piece
+from masat.parts.sweeps import down, up
 from masat.parts.tasks import PieceFile
 
 
@@ -42,11 +48,12 @@ def _place_along_tree(
     return _core.place_along_tree(topology, roots, np.empty(0, np.bool_), measurements, poses)[0]
 
 
-GUESSES: dict[str, Callable[[_core.Topology, Any, Floats, Floats], Floats]] = {
+_WALKS: dict[str, Callable[[_core.Topology, Any, Floats, Floats], Floats]] = {
     "masat": _place_by_masat,
     "spanning_tree": _place_along_tree,
 }
-"""The initial guesses that can go from piece to piece."""
+
+GUESSES = ("chordal", *_WALKS)
 
 
 def place(
@@ -59,7 +66,7 @@ def place(
     file : PieceFile
         The piece.
     method : str
-        One of `GUESSES`.
+        One of `_WALKS`.
     target : str
         Name of the poses.
     placed : ndarray of bool
@@ -85,7 +92,7 @@ def place(
     reached = np.isin(labels, labels[known])
     if not known.all() and known.any():
         roots = np.flatnonzero(known).astype(np.int32)
-        at = GUESSES[method](topology, roots, piece.measurements, at)
+        at = _WALKS[method](topology, roots, piece.measurements, at)
     at[~reached] = np.nan
     write_poses(file.folder, target, file.name, at[:free])
     return _Reached(reached[first:free], at[first:free], bool(reached.all()))
@@ -106,7 +113,27 @@ def initial_guess(
     method: str,
     target: str,
 ) -> None:
-    """Write the poses of an initial guess."""
+    """Write the poses of one of the `GUESSES`."""
+    if method == "chordal":
+        _solve_chordal(index, engine, target)
+    else:
+        _walk(index, separators, engine, method, target)
+
+
+def _solve_chordal(index: Index, engine: Engine, target: str) -> None:
+    turned = f"{target}-turned"
+    for system, poses in ((Linear(None), turned), (Linear(turned), target)):
+        jobs = [system] * len(index.pieces)
+        messages = up(index, engine, tasks.eliminate_linear, jobs)
+        roots = [m for m, entry in zip(messages, index.pieces, strict=True) if entry.parent < 0]
+        found: list[Message] = engine.gather(roots)
+        failed = [root.failed for root in found if root.failed is not None]
+        if failed:
+            raise undetermined_node(min(failed), system.unknown)
+        engine.gather(down(index, engine, tasks.solve_linear, jobs, messages, poses))
+
+
+def _walk(index: Index, separators: list[Ids], engine: Engine, method: str, target: str) -> None:
     files = engine.files()
     placed = np.zeros(index.separators, np.bool_)
     poses = np.tile(lie.identity(index.dimension), (index.separators, 1))

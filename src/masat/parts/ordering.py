@@ -8,7 +8,7 @@ import numpy as np
 
 from masat import _core
 from masat.arrays import Indices
-from masat.parts.elimination import PieceSystem
+from masat.parts.elimination import PieceNodes
 from masat.parts.pieces import Piece
 from masat.structure import nested_dissection
 
@@ -16,17 +16,17 @@ from masat.structure import nested_dissection
 _MAX_CLIQUE = 1000
 
 
-def ordered(piece: Piece, dof: int) -> tuple[Piece, PieceSystem]:
-    """Return a part with the elimination order of the fewest operations, and its system.
+def ordered(piece: Piece, dof: int) -> tuple[Piece, PieceNodes]:
+    """Return a part with the elimination order of the fewest operations, and its nodes.
 
     The candidates are minimum degree, with the boundary as nodes that are all joined to each other,
     which is what an elimination makes of them, and the nested dissection of the own nodes.
     """
-    system = PieceSystem(piece)
+    nodes = PieceNodes(piece)
     outside = np.ones(len(piece.ids), np.bool_)
     outside[: piece.own] = False
     nothing = np.empty(0, np.int32)
-    inside = _core.Elimination(system.topology, outside, nothing)
+    inside = _core.Elimination(nodes.topology, outside, nothing)
     orders = [_around_clique(piece), nested_dissection(inside)]
     candidates = [_with_order(piece, order) for order in orders if order is not None]
     if not candidates:
@@ -49,6 +49,6 @@ def _around_clique(piece: Piece) -> Indices | None:
     return own
 
 
-def _with_order(piece: Piece, order: Indices) -> tuple[Piece, PieceSystem]:
+def _with_order(piece: Piece, order: Indices) -> tuple[Piece, PieceNodes]:
     changed = replace(piece, order=order)
-    return changed, PieceSystem(changed)
+    return changed, PieceNodes(changed)

@@ -76,8 +76,9 @@ class Partition:
         optimizer : str
             "lm" ("levenberg_marquardt") or "gn" ("gauss_newton").
         init : str, optional
-            The initial guess: "given", "masat" or "spanning_tree". Default: the poses of the
-            graph if it had any, else "masat". An interrupted solve goes on from its own poses.
+            The initial guess: "given", "chordal", "masat" or "spanning_tree". Default: the poses
+            of the graph if it had any, else "chordal". An interrupted solve goes on from its own
+            poses.
         loss : str, optional
             A loss of `masat.optimize` by name, except "gnc_tls", of all edges: the robust cost is
             minimized. An earlier solve with another one is not gone on with: the new one begins at

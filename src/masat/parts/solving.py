@@ -227,11 +227,11 @@ def _initial_poses(
 ) -> tuple[str, str]:
     """Return the initial guess and the name of its poses."""
     if init is None:
-        init = "given" if index.with_poses else "masat"
+        init = "given" if index.with_poses else "chordal"
     if init == "given":
         if not index.with_poses:
             raise PartitionError(
-                "the graph had no poses: take the initial guess masat or spanning_tree"
+                "the graph had no poses: take the initial guess chordal, masat or spanning_tree"
             )
         return init, GIVEN
     if index.world is not None:

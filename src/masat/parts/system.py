@@ -22,6 +22,7 @@ from masat.parts import tasks
 from masat.parts.elimination import Linearization, Message, Solution
 from masat.parts.engines import Engine
 from masat.parts.index import Index
+from masat.parts.sweeps import down, up
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,17 +94,15 @@ class PartSystem:
 
     def damped_step(self, damping: float, /) -> DampedStep | int:
         """Return the step, or the id of a node that the damped system does not determine."""
-        known, pieces, files = self._known[self._at], self._index.pieces, self._engine.files()
+        known, pieces = self._known[self._at], self._index.pieces
         jobs: list[tasks.Elimination] = []
-        messages: list[Any] = []
         for k, entry in enumerate(pieces):
             diagonal = None
             if entry.children:
                 own = self._separators[k][: entry.own]
                 diagonal = known.diagonal[own].ravel()
             jobs.append(tasks.Elimination(self._at, damping, known.floor, diagonal))
-            below = [messages[c] for c in entry.children]
-            messages.append(self._engine.submit(k, tasks.eliminate, files[k], jobs[k], below))
+        messages = up(self._index, self._engine, tasks.eliminate, jobs)
         roots: list[Message] = self._engine.gather(
             [messages[k] for k, entry in enumerate(pieces) if entry.parent < 0]
         )
@@ -112,13 +111,7 @@ class PartSystem:
             return min(failed)
         self._count += 1
         target = f"{self._run}-{self._count}"
-        solutions: list[Any] = [None] * len(pieces)
-        for k in self._down:
-            below = [messages[c] for c in pieces[k].children]
-            above = solutions[pieces[k].parent] if pieces[k].parent >= 0 else None
-            solutions[k] = self._engine.submit(
-                k, tasks.substitute, files[k], jobs[k], below, above, target
-            )
+        solutions = down(self._index, self._engine, tasks.substitute, jobs, messages, target)
         step = _Step(self._engine, solutions)
         self._pending = {target: step}
         return DampedStep(target, step.length, step.predicted)

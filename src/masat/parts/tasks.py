@@ -20,7 +20,8 @@ from masat.arrays import Floats
 from masat.optimizers.equations import rounding_of
 from masat.optimizers.losses import NamedLoss
 from masat.parts.checkpoints import read_poses, write_poses
-from masat.parts.elimination import Linearization, Message, PieceSystem, Solution
+from masat.parts.chordal import Linear, LinearSystem
+from masat.parts.elimination import Linearization, Message, PieceNodes, PieceSystem, Solution
 from masat.parts.pieces import read_piece
 
 # A system that is set up again on another worker takes as long as its bytes on the network, and
@@ -68,17 +69,27 @@ class _Workspace:
         self.file = file
         path = Path(file.folder) / file.name
         piece = read_piece(path, file.graph_hash, file.file_hash)
-        self.system = PieceSystem(piece, file.loss)
+        self.nodes = PieceNodes(piece)
+        self.system = PieceSystem(self.nodes, file.loss)
         self.linearization: Linearization | None = None
         self.at = ""
         self.message: Message | None = None
         self.eliminated: tuple[str, float, float] | None = None
+        self._linear: tuple[Linear, LinearSystem] | None = None
+
+    def linear(self, task: Linear, messages: Sequence[Message]) -> LinearSystem:
+        if self._linear is None or self._linear[0] != task:
+            self._linear, poses = None, None
+            if task.poses is not None:
+                poses = read_poses(self.file.folder, task.poses, self.file.name, self.nodes.piece)
+            self._linear = task, LinearSystem(self.nodes, poses, messages)
+        return self._linear[1]
 
     def linearize(self, poses: str) -> Linearization:
         if self.linearization is None or self.at != poses:
             at = read_poses(self.file.folder, poses, self.file.name, self.system.piece)
             # An interruption must not leave what was known of other poses.
-            self.linearization = self.eliminated = None
+            self.linearization = self.eliminated = self._linear = None
             self.linearization, self.at = self.system.linearize(at), poses
         return self.linearization
 
@@ -176,6 +187,27 @@ def substitute(
         if system.piece.children == 0:
             return solution._replace(step=np.empty(0))
         return solution
+
+
+def eliminate_linear(file: PieceFile, task: Linear, messages: Sequence[Message]) -> Message:
+    """Eliminate the nodes of a piece from a system of the chordal guess; see `eliminate`."""
+    workspace = _WORKSPACES.of(file)
+    with workspace.lock:
+        return workspace.linear(task, messages).message
+
+
+def solve_linear(
+    file: PieceFile, task: Linear, messages: Sequence[Message], above: Floats | None, target: str
+) -> Floats:
+    """Solve a system of the chordal guess, and write the poses that follow as `target`.
+
+    The unknowns are returned only if pieces below need them.
+    """
+    workspace = _WORKSPACES.of(file)
+    with workspace.lock:
+        unknowns, poses = workspace.linear(task, messages).solve(above)
+        write_poses(file.folder, target, file.name, poses)
+        return unknowns if workspace.nodes.piece.children else np.empty(0)
 
 
 def chi2(file: PieceFile, poses: str) -> float:
