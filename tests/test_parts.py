@@ -88,6 +88,22 @@ def test_a_loss_in_parts_is_that_of_one_process(tmp_path, name, loss):
     assert found.robust_cost < found.chi2
 
 
+def test_a_loss_does_not_apply_to_trusted_edges(tmp_path):
+    spoiled, is_false = add_false_closures(CITY, "random", 0.1, seed=1)
+    graph = spoiled.with_poses(CITY.poses)
+    odometry = np.abs(np.diff(graph.edges, axis=1))[:, 0] == 1
+    made = masat.partition(graph, tmp_path / "parts", 5)
+    found = made.solve(loss="tukey", trusted=odometry)
+    best = masat.optimize(graph, "lm", loss="tukey", trusted=odometry)
+    assert is_false.any()
+    assert found.robust_cost == pytest.approx(best.robust_cost, rel=1e-9)
+    # Another mask is another cost.
+    other = made.solve(loss="tukey", max_iterations=0)
+    assert other.initial_chi2 == pytest.approx(found.chi2, rel=1e-12)
+    assert other.robust_cost < found.robust_cost
+    assert other.history == ()
+
+
 def test_a_solve_with_another_loss_begins_at_the_poses_of_the_last(tmp_path):
     made = masat.partition(CITY, tmp_path / "parts", 4)
     plain = made.solve()
@@ -105,7 +121,9 @@ def test_a_solve_with_another_loss_begins_at_the_poses_of_the_last(tmp_path):
         ({"loss": "gnc_tls"}, "unknown loss 'gnc_tls' of a partition; known: cauchy"),
         ({"loss": "mine"}, "unknown loss 'mine'"),
         ({"loss": "cauchy", "scale": 0.0}, "scale of a loss must be positive"),
-        ({"scale": 2.0}, "scale has no effect without a loss"),
+        ({"scale": 2.0}, "scale and trusted have no effect without a loss"),
+        ({"trusted": np.ones(3, bool)}, "scale and trusted have no effect without a loss"),
+        ({"loss": "huber", "trusted": np.ones(3, bool)}, "one entry an edge"),
     ],
 )
 def test_a_loss_that_parts_do_not_have_is_refused(tmp_path, options, message):

@@ -285,7 +285,7 @@ def optimize_assembly(
         believed = np.ones(len(graph.edges), np.bool_)
         believed[: assembly.measured] = False
         if trusted is not None:
-            believed[: len(source.edges)] = checked_mask(source, trusted)
+            believed[: len(source.edges)] = checked_mask(len(source.edges), trusted)
     if report_poses is not None:
         report, at = report_poses, assembly.poses_at
         options["report_poses"] = lambda nodes: report(nodes[at])

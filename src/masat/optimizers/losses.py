@@ -157,7 +157,7 @@ def robust_cost(
             known = ", ".join(LOSSES)
             raise OptimizationError(f"unknown loss {loss!r}; known: {known}, or a function")
         loss = LOSSES[loss]
-    mask = checked_mask(graph, trusted)
+    mask = checked_mask(len(graph.edges), trusted)
     if isinstance(loss, Loss):
         scale = default_scale(graph.dof) if scale is None else checked_scale(scale)
         return RobustCost(loss.name, ScaledLoss(loss.kind, scale), scale, mask)
@@ -187,14 +187,14 @@ def checked_scale(scale: object) -> float:
     return value
 
 
-def checked_mask(graph: PoseGraph, trusted: object) -> Flags | None:
-    """Return a mask of the edges, (m,), if it is one."""
+def checked_mask(edges: int, trusted: object) -> Flags | None:
+    """Return a mask of so many edges, (m,), if it is one."""
     if trusted is None:
         return None
     mask = np.asarray(trusted)
-    if mask.dtype != np.bool_ or mask.shape != (len(graph.edges),):
+    if mask.dtype != np.bool_ or mask.shape != (edges,):
         raise OptimizationError(
-            f"trusted must be a boolean mask with one entry an edge, ({len(graph.edges)},), got "
+            f"trusted must be a boolean mask with one entry an edge, ({edges},), got "
             f"{mask.dtype} {mask.shape}"
         )
     return np.ascontiguousarray(mask)

@@ -48,6 +48,8 @@ class Checkpoint:
         Why the solve stopped; None while it goes on and after it was interrupted.
     loss : tuple of str and float, or None
         Name and scale of the loss that is minimized; None if chi2 is.
+    trusted : str or None
+        Hash of the edges to which it does not apply; None if it applies to all.
     """
 
     graph: str
@@ -59,6 +61,7 @@ class Checkpoint:
     history: list[Iteration]
     reason: str | None
     loss: NamedLoss | None = None
+    trusted: str | None = None
 
     def save(self, folder: Path) -> None:
         """Write it to the folder of a partition."""

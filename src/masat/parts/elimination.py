@@ -205,11 +205,16 @@ class PieceSystem:
         The nodes of the piece.
     loss : tuple of str and float, optional
         Name and scale of the loss that is minimized. Default: chi2 is.
+    trusted : ndarray of bool, (m,), optional
+        The edges to which the loss does not apply. Default: none.
     """
 
-    def __init__(self, nodes: PieceNodes, loss: NamedLoss | None = None) -> None:
+    def __init__(
+        self, nodes: PieceNodes, loss: NamedLoss | None = None, trusted: Flags | None = None
+    ) -> None:
         self.piece, self._nodes = nodes.piece, nodes
         self._loss = None if loss is None else _core.Loss(LOSSES[loss[0]].kind, loss[1])
+        self._trusted = trusted
         self._dof = lie.DOF[nodes.piece.dimension]
         self._step_size = nodes.free * self._dof
 
@@ -224,7 +229,7 @@ class PieceSystem:
         if self._loss is None:
             cost = self._equations.linearize(at)
         else:
-            cost = self._equations.linearize_robust(at, self._loss)
+            cost = self._equations.linearize_robust(at, self._loss, self._trusted)
         diagonal = self._equations.diagonal()[: self._step_size]
         rhs = self._equations.rhs()[: self._step_size]
         if piece.children:

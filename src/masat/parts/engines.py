@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
@@ -68,6 +68,8 @@ class InTurn:
         again. The system in use is always held. Default: a quarter of the machine's memory.
     loss : tuple of str and float, optional
         Name and scale of the loss that is minimized. Default: chi2 is.
+    trusted : list of bytes, optional
+        `PieceFile.trusted` of each piece. Default: the loss applies to all edges.
     """
 
     def __init__(
@@ -76,10 +78,11 @@ class InTurn:
         index: Index,
         memory: int | None = None,
         loss: NamedLoss | None = None,
+        trusted: list[bytes] | None = None,
     ) -> None:
         limit = _quarter_of_machine() if memory is None else memory
         self._folder = _where(folder)
-        self._files = _files_of(folder, index, limit, loss)
+        self._files = _files_of(folder, index, limit, loss, trusted)
 
     def files(self) -> list[PieceFile]:
         """Return the `PieceFile` of each piece."""
@@ -112,14 +115,20 @@ class OnCluster:
         The folder of the partition.
     index : Index
         Its index.
-    loss : tuple of str and float, optional
+    loss, trusted
         As of `InTurn`.
     """
 
     def __init__(
-        self, client: Any, folder: Path, index: Index, loss: NamedLoss | None = None
+        self,
+        client: Any,
+        folder: Path,
+        index: Index,
+        loss: NamedLoss | None = None,
+        trusted: list[bytes] | None = None,
     ) -> None:
-        self._client, self._folder, self._index, self._loss = client, folder, index, loss
+        self._client, self._folder, self._index = client, folder, index
+        self._loss, self._trusted = loss, trusted
         self._files: list[Any] | None = None
         workers = self._workers()
         if not workers:
@@ -152,7 +161,7 @@ class OnCluster:
             for home, entry in zip(self._home, self._index.pieces, strict=True):
                 needed[home] += entry.memory
             limit = max(needed.values())
-            files = _files_of(self._folder, self._index, limit, self._loss)
+            files = _files_of(self._folder, self._index, limit, self._loss, self._trusted)
             self._files = [
                 self._client.submit(
                     hold, file, workers=[home], allow_other_workers=True, pure=False
@@ -176,11 +185,18 @@ class OnCluster:
         return sorted(self._client.scheduler_info(n_workers=-1)["workers"])
 
 
-def _files_of(folder: Path, index: Index, limit: int, loss: NamedLoss | None) -> list[PieceFile]:
+def _files_of(
+    folder: Path,
+    index: Index,
+    limit: int,
+    loss: NamedLoss | None,
+    trusted: list[bytes] | None,
+) -> list[PieceFile]:
     where = _where(folder)
+    flags: Sequence[bytes | None] = trusted or [None] * len(index.pieces)
     return [
-        PieceFile(where, entry.file, index.graph, entry.hash, entry.memory, limit, loss)
-        for entry in index.pieces
+        PieceFile(where, entry.file, index.graph, entry.hash, entry.memory, limit, loss, own)
+        for entry, own in zip(index.pieces, flags, strict=True)
     ]
 
 

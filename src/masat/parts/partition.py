@@ -9,7 +9,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from masat.arrays import Floats, Ids
+from masat.arrays import Flags, Floats, Ids
 from masat.errors import PartitionError
 from masat.graph import PoseGraph
 from masat.optimizers.termination import Report
@@ -58,6 +58,7 @@ class Partition:
         init: str | None = None,
         loss: str | None = None,
         scale: float | None = None,
+        trusted: Flags | None = None,
         restart: bool = False,
         client: Any | None = None,
         memory: int | None = None,
@@ -80,11 +81,14 @@ class Partition:
             of the graph if it had any, else "chordal". An interrupted solve goes on from its own
             poses.
         loss : str, optional
-            A loss of `masat.optimize` by name, except "gnc_tls", of all edges: the robust cost is
-            minimized. An earlier solve with another one is not gone on with: the new one begins at
-            its poses. Default: chi2 is minimized.
+            A loss of `masat.optimize` by name, except "gnc_tls": the robust cost is minimized. An
+            earlier solve with another one is not gone on with: the new one begins at its poses.
+            Default: chi2 is minimized.
         scale : float, optional
             The scale of the loss, as of `masat.optimize`.
+        trusted : ndarray of bool, (m,), optional
+            The edges to which the loss does not apply, such as odometry, in the order of the graph
+            that was cut. Default: it applies to all.
         restart : bool
             Whether to forget what an earlier solve has found.
         client : distributed.Client, optional
@@ -110,7 +114,8 @@ class Partition:
         PartitionError
             If a file is missing, damaged or of another graph, or an initial guess is unknown.
         OptimizationError
-            If the optimizer or the loss is unknown, or a limit is negative.
+            If the optimizer or the loss is unknown, a limit is negative, or `trusted` has not one
+            entry an edge.
         """
         return solve_partition(
             self.folder,
@@ -119,6 +124,7 @@ class Partition:
             init=init,
             loss=loss,
             scale=scale,
+            trusted=trusted,
             restart=restart,
             client=client,
             memory=memory,

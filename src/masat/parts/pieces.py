@@ -136,12 +136,21 @@ def read_piece(path: Path, graph_hash: str, file_hash: str) -> Piece:
 
 def read_separators(path: Path, graph_hash: str) -> Ids:
     """Read `Piece.separators` alone."""
+    return _read_indices(path, graph_hash, "separators")
+
+
+def read_rows(path: Path, graph_hash: str) -> Ids:
+    """Read `Piece.rows` alone."""
+    return _read_indices(path, graph_hash, "rows")
+
+
+def _read_indices(path: Path, graph_hash: str, name: str) -> Ids:
     try:
         with np.load(path, allow_pickle=False) as arrays:
             if str(arrays["graph"]) != graph_hash:
                 raise of_another_graph(path)
-            separators: Ids = arrays["separators"]
-            return separators
+            indices: Ids = arrays[name]
+            return indices
     except FileNotFoundError:
         raise missing(path) from None
     except (*DAMAGED, OSError) as error:

@@ -9,19 +9,28 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from masat.arrays import Ids
+import numpy as np
+
+from masat.arrays import Flags, Ids
 from masat.errors import OptimizationError, PartitionError
 from masat.lie import DOF
 from masat.optimizers import SHORT_NAMES
 from masat.optimizers.gauss_newton import gauss_newton
 from masat.optimizers.levenberg_marquardt import levenberg_marquardt
-from masat.optimizers.losses import GNC_TLS, LOSSES, NamedLoss, checked_scale, default_scale
+from masat.optimizers.losses import (
+    GNC_TLS,
+    LOSSES,
+    NamedLoss,
+    checked_mask,
+    checked_scale,
+    default_scale,
+)
 from masat.optimizers.termination import Iteration, Outcome, Report, StopReason, Termination
 from masat.parts.checkpoints import GIVEN, Checkpoint, forget_poses, read_checkpoint
 from masat.parts.engines import Engine, InTurn, OnCluster
 from masat.parts.guess import GUESSES, initial_guess
 from masat.parts.index import Index
-from masat.parts.pieces import read_separators
+from masat.parts.pieces import hash_of, read_rows, read_separators
 from masat.parts.system import PartSystem
 
 METHODS = {
@@ -94,6 +103,7 @@ def solve_partition(
     init: str | None,
     loss: str | None,
     scale: float | None,
+    trusted: Flags | None,
     restart: bool,
     client: Any | None,
     memory: int | None,
@@ -110,12 +120,16 @@ def solve_partition(
         )
     if max_iterations < 0 or relative_tolerance < 0:
         raise OptimizationError("iteration limit and tolerances must not be negative")
-    scaled = _scaled(loss, scale, DOF[index.dimension])
+    if loss is None and (scale is not None or trusted is not None):
+        raise OptimizationError("scale and trusted have no effect without a loss: give one")
+    scaled = None if loss is None else _scaled(loss, scale, DOF[index.dimension])
+    mask = checked_mask(index.edges, trusted)
+    flags = None if mask is None else _of_pieces(folder, index, mask)
     engine: Engine
     if client is None:
-        engine = InTurn(folder, index, memory, scaled)
+        engine = InTurn(folder, index, memory, scaled, flags)
     else:
-        engine = OnCluster(client, folder, index, scaled)
+        engine = OnCluster(client, folder, index, scaled, flags)
     try:
         return _solve(
             folder,
@@ -124,6 +138,7 @@ def solve_partition(
             method=full,
             init=init,
             loss=scaled,
+            trusted=None if mask is None else hash_of(mask),
             restart=restart,
             max_iterations=max_iterations,
             relative_tolerance=relative_tolerance,
@@ -141,6 +156,7 @@ def _solve(
     method: str,
     init: str | None,
     loss: NamedLoss | None,
+    trusted: str | None,
     restart: bool,
     max_iterations: int,
     relative_tolerance: float,
@@ -154,14 +170,14 @@ def _solve(
         history: list[Iteration] = []
     else:
         init, poses, history = checkpoint.init, checkpoint.poses, list(checkpoint.history)
-        if checkpoint.loss != loss:
+        if (checkpoint.loss, checkpoint.trusted) != (loss, trusted):
             # Costs of another loss do not compare: a new solve begins where that one ended.
             history = []
     system = PartSystem(index, engine, separators)
     cost = system.chi2(poses)
     if not math.isfinite(cost):
         raise OptimizationError("chi2 of the initial poses is not finite: they are too far apart")
-    if checkpoint is not None and checkpoint.loss == loss:
+    if checkpoint is not None and (checkpoint.loss, checkpoint.trusted) == (loss, trusted):
         initial = checkpoint.initial_chi2
     else:
         initial = cost if loss is None else system.chi2_without_loss(poses)
@@ -178,6 +194,7 @@ def _solve(
             history=history,
             reason=None if reason is None else reason.name,
             loss=loss,
+            trusted=trusted,
         ).save(folder)
         forget_poses(folder, {GIVEN, system.best, system.latest})
 
@@ -210,12 +227,22 @@ def _solve(
     )
 
 
-def _scaled(loss: str | None, scale: float | None, dof: int) -> NamedLoss | None:
+def _of_pieces(folder: Path, index: Index, mask: Flags) -> list[bytes]:
+    """Return which edges of each piece are in a mask, bit by bit."""
+    measured = index.edges + index.priors + index.observations
+    out = []
+    for entry in index.pieces:
+        rows = read_rows(folder / entry.file, index.graph)
+        # What keeps rotations of landmarks and undetermined directions costs nothing in any case.
+        own = rows >= measured
+        edges = rows < index.edges
+        own[edges] = mask[rows[edges]]
+        out.append(np.packbits(own).tobytes())
+    return out
+
+
+def _scaled(loss: str, scale: float | None, dof: int) -> NamedLoss:
     """Return a loss of the core with its scale."""
-    if loss is None:
-        if scale is not None:
-            raise OptimizationError("scale has no effect without a loss: give one")
-        return None
     if loss == GNC_TLS or loss not in LOSSES:
         known = ", ".join(name for name in LOSSES if name != GNC_TLS)
         raise OptimizationError(f"unknown loss {loss!r} of a partition; known: {known}")

@@ -33,7 +33,8 @@ class PieceFile(NamedTuple):
     """Where the file of a piece is, what it must hold, and what its system takes.
 
     `memory` are the bytes of the system, `limit` those of all systems that a process may keep.
-    `loss` is that of the cost, None for chi2.
+    `loss` is that of the cost, None for chi2, and `trusted` tells bit by bit to which edges it does
+    not apply.
     """
 
     folder: str
@@ -43,6 +44,7 @@ class PieceFile(NamedTuple):
     memory: int
     limit: int
     loss: NamedLoss | None
+    trusted: bytes | None
 
     def __sizeof__(self) -> int:
         # By this Dask estimates what it costs to move a task away from the system that it needs.
@@ -70,7 +72,11 @@ class _Workspace:
         path = Path(file.folder) / file.name
         piece = read_piece(path, file.graph_hash, file.file_hash)
         self.nodes = PieceNodes(piece)
-        self.system = PieceSystem(self.nodes, file.loss)
+        trusted = None
+        if file.trusted is not None:
+            bits = np.frombuffer(file.trusted, np.uint8)
+            trusted = np.unpackbits(bits, count=len(piece.edges)).astype(np.bool_)
+        self.system = PieceSystem(self.nodes, file.loss, trusted)
         self.linearization: Linearization | None = None
         self.at = ""
         self.message: Message | None = None
@@ -108,10 +114,10 @@ class _Workspaces:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._held: OrderedDict[tuple[str, str, str, NamedLoss | None], _Workspace] = OrderedDict()
+        self._held: OrderedDict[tuple[object, ...], _Workspace] = OrderedDict()
 
     def of(self, file: PieceFile) -> _Workspace:
-        key = file.folder, file.name, file.file_hash, file.loss
+        key = file.folder, file.name, file.file_hash, file.loss, file.trusted
         with self._lock:
             found = self._held.get(key)
             if found is not None:
