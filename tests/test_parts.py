@@ -104,6 +104,26 @@ def test_a_loss_does_not_apply_to_trusted_edges(tmp_path):
     assert other.history == ()
 
 
+def test_threads_change_nothing_but_the_time(tmp_path, monkeypatch):
+    asked = []
+    make = tasks.PieceSystem.__init__
+
+    def noted(self, nodes, loss, trusted, threads):
+        asked.append(threads)
+        make(self, nodes, loss, trusted, threads)
+
+    monkeypatch.setattr(tasks.PieceSystem, "__init__", noted)
+    made = masat.partition(SPHERE, tmp_path / "parts", 3)
+    one = made.solve(threads=1).chi2, made.poses()[1]
+    assert set(asked) == {1}
+    asked.clear()
+    assert made.solve(threads=2, restart=True).chi2 == one[0]
+    assert set(asked) == {2}
+    assert np.array_equal(made.poses()[1], one[1])
+    with pytest.raises(masat.OptimizationError, match="threads must be from 1"):
+        made.solve(threads=0)
+
+
 def test_a_solve_with_another_loss_begins_at_the_poses_of_the_last(tmp_path):
     made = masat.partition(CITY, tmp_path / "parts", 4)
     plain = made.solve()

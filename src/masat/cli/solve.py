@@ -30,6 +30,7 @@ _TAKEN_BY_PARTS = (
     "optimizer",
     "max_iterations",
     "tolerance",
+    "threads",
     "as_json",
     "quiet",
 )
@@ -146,6 +147,7 @@ def solve(
             optimizer,
             max_iterations,
             tolerance,
+            threads,
             scheduler,
             memory,
             restart,

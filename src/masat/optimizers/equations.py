@@ -57,18 +57,22 @@ def normal_equations(graph: PoseGraph, threads: int | None = None) -> _core.Norm
         graph.elimination,
         graph.measurements,
         graph.information,
-        worthwhile_threads(graph) if threads is None else checked_threads(threads),
+        threads_of(threads, graph.elimination.operations(graph.dof)),
         graph.sensor_offsets,
         graph.range_bearing_edges,
     )
 
 
-def worthwhile_threads(graph: PoseGraph) -> int:
-    """Return how many threads pay for the iterations of a graph on this machine.
+def threads_of(given: int | None, operations: float) -> int:
+    """Return the threads that were asked for, or else as many as pay on this machine.
 
-    All parts of an iteration use as many.
+    All parts of an iteration use as many; `operations` are those of its factorization.
     """
-    if graph.elimination.operations(graph.dof) < _MIN_PARALLEL_OPERATIONS:
+    if given is not None:
+        if not 1 <= given <= _MAX_GIVEN_THREADS:
+            raise OptimizationError(f"threads must be from 1 to {_MAX_GIVEN_THREADS}, got {given}")
+        return given
+    if operations < _MIN_PARALLEL_OPERATIONS:
         return 1
     return max(1, min(_MAX_THREADS, _available_cores()))
 
@@ -77,13 +81,6 @@ def _available_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def checked_threads(threads: int) -> int:
-    """Return a number of threads that was asked for, if there can be as many."""
-    if not 1 <= threads <= _MAX_GIVEN_THREADS:
-        raise OptimizationError(f"threads must be from 1 to {_MAX_GIVEN_THREADS}, got {threads}")
-    return threads
 
 
 class BestSoFar:

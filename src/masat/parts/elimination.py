@@ -207,14 +207,20 @@ class PieceSystem:
         Name and scale of the loss that is minimized. Default: chi2 is.
     trusted : ndarray of bool, (m,), optional
         The edges to which the loss does not apply. Default: none.
+    threads : int
+        Threads that compute.
     """
 
     def __init__(
-        self, nodes: PieceNodes, loss: NamedLoss | None = None, trusted: Flags | None = None
+        self,
+        nodes: PieceNodes,
+        loss: NamedLoss | None = None,
+        trusted: Flags | None = None,
+        threads: int = 1,
     ) -> None:
         self.piece, self._nodes = nodes.piece, nodes
         self._loss = None if loss is None else _core.Loss(LOSSES[loss[0]].kind, loss[1])
-        self._trusted = trusted
+        self._trusted, self._threads = trusted, threads
         self._dof = lie.DOF[nodes.piece.dimension]
         self._step_size = nodes.free * self._dof
 
@@ -295,6 +301,7 @@ class PieceSystem:
             self._nodes.elimination,
             piece.measurements,
             piece.information,
+            self._threads,
             offsets=piece.offsets,
             range_bearing=piece.range_bearing,
         )

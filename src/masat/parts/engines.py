@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from masat.errors import PartitionError
+from masat.optimizers.equations import threads_of
 from masat.optimizers.losses import NamedLoss
 from masat.parts.cost import homes
 from masat.parts.index import Index
@@ -70,6 +71,8 @@ class InTurn:
         Name and scale of the loss that is minimized. Default: chi2 is.
     trusted : list of bytes, optional
         `PieceFile.trusted` of each piece. Default: the loss applies to all edges.
+    threads : int, optional
+        Threads that compute. Default: as many as pay for a piece.
     """
 
     def __init__(
@@ -79,10 +82,11 @@ class InTurn:
         memory: int | None = None,
         loss: NamedLoss | None = None,
         trusted: list[bytes] | None = None,
+        threads: int | None = None,
     ) -> None:
         limit = _quarter_of_machine() if memory is None else memory
         self._folder = _where(folder)
-        self._files = _files_of(folder, index, limit, loss, trusted)
+        self._files = _files_of(folder, index, limit, loss, trusted, threads)
 
     def files(self) -> list[PieceFile]:
         """Return the `PieceFile` of each piece."""
@@ -117,6 +121,8 @@ class OnCluster:
         Its index.
     loss, trusted
         As of `InTurn`.
+    threads : int
+        Threads that compute a task.
     """
 
     def __init__(
@@ -126,9 +132,10 @@ class OnCluster:
         index: Index,
         loss: NamedLoss | None = None,
         trusted: list[bytes] | None = None,
+        threads: int = 1,
     ) -> None:
         self._client, self._folder, self._index = client, folder, index
-        self._loss, self._trusted = loss, trusted
+        self._loss, self._trusted, self._threads = loss, trusted, threads
         self._files: list[Any] | None = None
         workers = self._workers()
         if not workers:
@@ -161,7 +168,9 @@ class OnCluster:
             for home, entry in zip(self._home, self._index.pieces, strict=True):
                 needed[home] += entry.memory
             limit = max(needed.values())
-            files = _files_of(self._folder, self._index, limit, self._loss, self._trusted)
+            files = _files_of(
+                self._folder, self._index, limit, self._loss, self._trusted, self._threads
+            )
             self._files = [
                 self._client.submit(
                     hold, file, workers=[home], allow_other_workers=True, pure=False
@@ -191,11 +200,22 @@ def _files_of(
     limit: int,
     loss: NamedLoss | None,
     trusted: list[bytes] | None,
+    threads: int | None,
 ) -> list[PieceFile]:
     where = _where(folder)
     flags: Sequence[bytes | None] = trusted or [None] * len(index.pieces)
     return [
-        PieceFile(where, entry.file, index.graph, entry.hash, entry.memory, limit, loss, own)
+        PieceFile(
+            folder=where,
+            name=entry.file,
+            graph_hash=index.graph,
+            file_hash=entry.hash,
+            memory=entry.memory,
+            limit=limit,
+            loss=loss,
+            trusted=own,
+            threads=threads_of(threads, entry.operations),
+        )
         for entry, own in zip(index.pieces, flags, strict=True)
     ]
 

@@ -107,6 +107,7 @@ def solve_partition(
     restart: bool,
     client: Any | None,
     memory: int | None,
+    threads: int | None,
     max_iterations: int,
     relative_tolerance: float,
     report: Report | None,
@@ -127,9 +128,9 @@ def solve_partition(
     flags = None if mask is None else _of_pieces(folder, index, mask)
     engine: Engine
     if client is None:
-        engine = InTurn(folder, index, memory, scaled, flags)
+        engine = InTurn(folder, index, memory, scaled, flags, threads)
     else:
-        engine = OnCluster(client, folder, index, scaled, flags)
+        engine = OnCluster(client, folder, index, scaled, flags, 1 if threads is None else threads)
     try:
         return _solve(
             folder,

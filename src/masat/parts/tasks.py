@@ -34,7 +34,7 @@ class PieceFile(NamedTuple):
 
     `memory` are the bytes of the system, `limit` those of all systems that a process may keep.
     `loss` is that of the cost, None for chi2, and `trusted` tells bit by bit to which edges it does
-    not apply.
+    not apply. `threads` compute.
     """
 
     folder: str
@@ -45,6 +45,7 @@ class PieceFile(NamedTuple):
     limit: int
     loss: NamedLoss | None
     trusted: bytes | None
+    threads: int
 
     def __sizeof__(self) -> int:
         # By this Dask estimates what it costs to move a task away from the system that it needs.
@@ -76,7 +77,7 @@ class _Workspace:
         if file.trusted is not None:
             bits = np.frombuffer(file.trusted, np.uint8)
             trusted = np.unpackbits(bits, count=len(piece.edges)).astype(np.bool_)
-        self.system = PieceSystem(self.nodes, file.loss, trusted)
+        self.system = PieceSystem(self.nodes, file.loss, trusted, file.threads)
         self.linearization: Linearization | None = None
         self.at = ""
         self.message: Message | None = None
