@@ -8,7 +8,7 @@ from random_graphs import random_graph
 import masat
 from masat._core import Elimination, NormalEquations, Topology, free_workspace
 from masat.parts.covers import smallest_cover
-from masat.parts.dissection import dissect, metis_labels
+from masat.parts.dissection import dissect, dissect_evenly, given_labels
 from masat.worlds import city, perturb, sphere
 
 CITY = masat.initialize(perturb(city(1000), (0.05, 0.05, 0.02)), "masat")
@@ -117,11 +117,15 @@ def test_a_smallest_cover_is_one_that_no_smaller_set_is(seed):
         assert not np.isin(edges, smaller).any(axis=1).all()
 
 
+@pytest.mark.parametrize("given", [False, True])
 @pytest.mark.parametrize("parts", [1, 2, 3, 8])
 @pytest.mark.parametrize("name", GRAPHS)
-def test_separators_part_what_is_below_them(name, parts):
+def test_separators_part_what_is_below_them(name, parts, given):
     graph = GRAPHS[name]
-    tree = dissect(graph, metis_labels(graph, parts))
+    if given:
+        tree = dissect(graph, given_labels(graph, graph.ids * parts // len(graph)))
+    else:
+        tree = dissect_evenly(graph, parts)
 
     def above(piece):
         found = {piece}
@@ -135,6 +139,8 @@ def test_separators_part_what_is_below_them(name, parts):
     assert (tree.piece >= 0).sum() == len(graph.structure.free)
     for a, b in tree.piece[graph.edge_indices].tolist():
         assert a < 0 or b < 0 or a in lines[b] or b in lines[a]
+    if given:
+        return
     # The parts are of about the same size, the separators are small.
     sizes = np.bincount(tree.piece[tree.piece >= 0])[:parts]
     assert sizes.max() < 1.5 * len(graph) / parts

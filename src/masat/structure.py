@@ -273,8 +273,13 @@ def eliminate(topology: _core.Topology, in_gauge: Flags, block_size: int) -> _co
     return dissected if dissected.operations(block_size) < work else by_degree
 
 
-def nested_dissection(elimination: _core.Elimination) -> Indices | None:
-    """Return the order of METIS, as indices into the free nodes; None without pymetis."""
+def nested_dissection(
+    elimination: _core.Elimination, unevenness: float | None = None
+) -> Indices | None:
+    """Return the order of METIS, as indices into the free nodes; None without pymetis.
+
+    Each half may be larger than the other one by the fraction `unevenness`. Default: that of METIS.
+    """
     try:
         import pymetis
     except ImportError:
@@ -283,5 +288,8 @@ def nested_dissection(elimination: _core.Elimination) -> Indices | None:
     if len(start) < 2:
         # METIS divides by the number of nodes.
         return np.empty(0, np.int32)
-    order, _ = pymetis.nested_dissection(pymetis.CSRAdjacency(start, neighbors))
+    options = pymetis.Options()
+    if unevenness is not None:
+        options.ufactor = round(1000 * unevenness)
+    order, _ = pymetis.nested_dissection(pymetis.CSRAdjacency(start, neighbors), options=options)
     return np.array(order, np.int32)

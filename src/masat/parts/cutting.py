@@ -18,7 +18,7 @@ from masat.graph import PoseGraph
 from masat.groups import Groups
 from masat.initializers import initialize
 from masat.parts.checkpoints import GIVEN, write_poses
-from masat.parts.dissection import Dissection, checked_labels, dissect, given_labels, metis_labels
+from masat.parts.dissection import Dissection, checked_labels, dissect, dissect_evenly, given_labels
 from masat.parts.elimination import PieceNodes
 from masat.parts.index import Entry, Index
 from masat.parts.ordering import ordered
@@ -47,10 +47,9 @@ def write_partition(
     if any(folder.iterdir()):
         raise PartitionError(f"{folder}: is not empty; choose another folder")
     if checked is not None:
-        found = given_labels(graph, checked)
+        tree = dissect(graph, given_labels(graph, checked))
     elif parts is not None:
-        found = metis_labels(graph, parts)
-    tree = dissect(graph, found)
+        tree = dissect_evenly(graph, parts)
     cut = _Cut(graph, tree)
     graph_hash = _hash(graph)
     entries = [cut.write(k, folder, graph_hash) for k in range(len(tree.parent))]

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import heapq
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from masat.arrays import Flags, Ids, Indices
+from masat import _core
+from masat.arrays import Ids, Indices
 from masat.errors import PartitionError
 from masat.graph import PoseGraph
 from masat.parts.covers import smallest_cover
+from masat.structure import nested_dissection
+
+# By this fraction a half may be larger than its share. With less of it separators are larger.
+_UNEVENNESS = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,33 +86,95 @@ def _numbered(labels: Ids, parts: int, separators: list[tuple[int, int, Ids]]) -
     return Dissection(piece, parent, parts)
 
 
-def metis_labels(graph: PoseGraph, parts: int) -> Ids:
-    """Return the part of each node by recursive bisection, (n,); -1 for those not optimized.
+def dissect_evenly(graph: PoseGraph, parts: int) -> Dissection:
+    """Return a number of parts of about as many nodes each, and the separators between them.
 
+    They are subtrees of the elimination tree that nested dissection leads to. A forest of subtrees
+    is halved again and again: roots go to the separator until no tree is too large for its half.
     Source: Karypis and Kumar, A fast and high quality multilevel scheme for partitioning irregular
     graphs, 1998.
     """
-    free = _free(graph)
-    count = int(np.count_nonzero(free))
-    if not 1 <= parts <= count:
+    free = graph.structure.free
+    if not 1 <= parts <= len(free):
         raise PartitionError(
             "the number of parts must be from 1 to the number of nodes that are optimized, "
-            f"{count}; got {parts}"
+            f"{len(free)}; got {parts}"
         )
-    labels = np.where(free, 0, -1).astype(np.int64)
+    labels = np.full(len(graph), -1, np.int64)
     if parts == 1:
-        return labels
-    try:
-        import pymetis
-    except ImportError:
-        raise PartitionError(
-            "cutting a graph into parts needs the package pymetis; install it, or give the part "
-            "of each node"
-        ) from None
-    start, neighbors = _adjacency(graph, free)
-    _, found = pymetis.part_graph(parts, pymetis.CSRAdjacency(start, neighbors), recursive=True)
-    labels[free] = found
-    return labels
+        labels[free] = 0
+        return Dissection(labels.astype(np.int32), [-1], 1)
+    tree = _Tree(graph)
+    separators: list[tuple[int, int, Ids]] = []
+    waiting = [(0, parts, tree.roots)]
+    while waiting:
+        first, end, forest = waiting.pop(0)
+        if end - first == 1:
+            for root in forest:
+                labels[tree.nodes[root + 1 - tree.size[root] : root + 1]] = first
+            continue
+        middle = first + (end - first) // 2
+        top, left, right = tree.halved(forest, (middle - first) / (end - first))
+        separators.append((first, end, tree.nodes[top]))
+        waiting += [(first, middle, left), (middle, end, right)]
+    return _numbered(labels, parts, separators)
+
+
+class _Tree:
+    """The elimination tree of a nested dissection, its nodes in postorder.
+
+    Attributes
+    ----------
+    nodes : ndarray of int64, (f,)
+        The index in the graph of each.
+    size : list of int
+        How many nodes there are from each down: it is the last of so many in a row.
+    roots : list of int
+        Those without a parent.
+    """
+
+    def __init__(self, graph: PoseGraph) -> None:
+        fixed = np.ones(len(graph), np.bool_)
+        fixed[graph.structure.free] = False
+        as_numbered = np.arange(len(graph.structure.free), dtype=np.int32)
+        unordered = _core.Elimination(graph.topology, fixed, as_numbered)
+        order = nested_dissection(unordered, _UNEVENNESS)
+        if order is None:
+            raise PartitionError(
+                "cutting a graph into parts needs the package pymetis; install it, or give the "
+                "part of each node"
+            )
+        elimination = _core.Elimination(graph.topology, fixed, order)
+        self.nodes: Ids = elimination.free_nodes()[elimination.order()].astype(np.int64)
+        self.size = [1] * len(order)
+        self._children: list[list[int]] = [[] for _ in order]
+        self.roots: list[int] = []
+        for k, parent in enumerate(elimination.parents().tolist()):
+            if parent < 0:
+                self.roots.append(k)
+            else:
+                self.size[parent] += self.size[k]
+                self._children[parent].append(k)
+
+    def halved(self, forest: list[int], share: float) -> tuple[list[int], list[int], list[int]]:
+        """Return the nodes above two halves of a forest, and the halves, the first with a share."""
+        heap = [(-self.size[root], root) for root in forest]
+        heapq.heapify(heap)
+        total, top = sum(self.size[root] for root in forest), list[int]()
+        while heap and -heap[0][0] > (1 + _UNEVENNESS) * max(share, 1 - share) * total:
+            _, root = heapq.heappop(heap)
+            top.append(root)
+            total -= 1
+            for child in self._children[root]:
+                heapq.heappush(heap, (-self.size[child], child))
+        halves: tuple[list[int], list[int]] = [], []
+        missing = [share * total, (1 - share) * total]
+        while heap:
+            size, root = heapq.heappop(heap)
+            half = int(missing[1] > missing[0])
+            halves[half].append(root)
+            missing[half] += size
+        return top, *halves
 
 
 def checked_labels(graph: PoseGraph, labels: ArrayLike) -> Ids:
@@ -128,27 +196,8 @@ def given_labels(graph: PoseGraph, labels: Ids) -> Ids:
     # Numbers that no node has are left out.
     _, numbered = np.unique(labels, return_inverse=True)
     numbered = numbered.astype(np.int64)
-    numbered[~_free(graph)] = -1
-    used, again = np.unique(numbered, return_inverse=True)
-    return again - 1 if used[0] < 0 else again
-
-
-def _free(graph: PoseGraph) -> Flags:
     free = np.zeros(len(graph), np.bool_)
     free[graph.structure.free] = True
-    return free
-
-
-def _adjacency(graph: PoseGraph, free: Flags) -> tuple[Ids, Indices]:
-    """Return the neighbors of the free nodes as compressed rows."""
-    count = int(np.count_nonzero(free))
-    number = np.cumsum(free) - 1
-    pairs = graph.edge_indices[free[graph.edge_indices].all(axis=1)]
-    pairs = number[pairs]
-    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-    keys = np.unique(
-        np.concatenate([pairs[:, 0] * count + pairs[:, 1], pairs[:, 1] * count + pairs[:, 0]])
-    )
-    rows, neighbors = np.divmod(keys, count)
-    start = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=count))])
-    return start.astype(np.int64), neighbors.astype(np.int32)
+    numbered[~free] = -1
+    used, again = np.unique(numbered, return_inverse=True)
+    return again - 1 if used[0] < 0 else again

@@ -67,11 +67,14 @@ class Solution(NamedTuple):
         The squared length at its own nodes.
     predicted : float
         What its edges and its damping add to the fall of chi2 that is predicted.
+    failed : bool
+        Whether a matrix was not positive definite; then nothing else is known.
     """
 
     step: Floats
     squared: float
     predicted: float
+    failed: bool = False
 
 
 class PieceNodes:

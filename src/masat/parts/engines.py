@@ -19,8 +19,8 @@ from masat.parts.tasks import PieceFile, hold, release
 class Engine(Protocol):
     """Runs tasks that may take the results of others."""
 
-    def submit(self, piece: int, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return what stands for the result of a task about a piece."""
+    def map(self, function: Callable[..., Any], *arguments: Sequence[Any]) -> list[Any]:
+        """Return what stands for the results of tasks, the arguments being those of `map`."""
 
     def gather(self, results: Iterable[Any]) -> list[Any]:
         """Wait for results and return them."""
@@ -92,9 +92,9 @@ class InTurn:
         """Return the `PieceFile` of each piece."""
         return self._files
 
-    def submit(self, piece: int, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return what stands for the result of a task about a piece."""
-        return _Deferred(function, arguments)
+    def map(self, function: Callable[..., Any], *arguments: Sequence[Any]) -> list[Any]:
+        """Return what stands for the results of tasks."""
+        return [_Deferred(function, own) for own in zip(*arguments, strict=True)]
 
     def gather(self, results: Iterable[Any]) -> list[Any]:
         """Run tasks, those before them first, and return their results."""
@@ -145,9 +145,10 @@ class OnCluster:
             )
         self._home = [workers[home] for home in homes(index, len(workers))]
 
-    def submit(self, piece: int, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the future of a task about a piece."""
-        return self._client.submit(function, *arguments, pure=False)
+    def map(self, function: Callable[..., Any], *arguments: Sequence[Any]) -> list[Any]:
+        """Return the futures of tasks."""
+        futures: list[Any] = self._client.map(function, *arguments, pure=False)
+        return futures
 
     def gather(self, results: Iterable[Any]) -> list[Any]:
         """Wait for futures; choose other workers for the pieces of dead ones."""

@@ -141,19 +141,15 @@ def _walk(index: Index, separators: list[Ids], engine: Engine, method: str, targ
     complete = visited.copy()
     turn = list(range(len(files)))
     while turn:
-        jobs = [
-            engine.submit(
-                k,
-                place,
-                files[k],
-                method,
-                target,
-                placed[separators[k]],
-                poses[separators[k]],
-                bool(visited[k]),
-            )
-            for k in turn
-        ]
+        jobs = engine.map(
+            place,
+            [files[k] for k in turn],
+            [method] * len(turn),
+            [target] * len(turn),
+            [placed[separators[k]] for k in turn],
+            [poses[separators[k]] for k in turn],
+            visited[turn].tolist(),
+        )
         new = np.zeros(index.separators, np.bool_)
         for k, found in zip(turn, engine.gather(jobs), strict=True):
             visited[k], complete[k] = True, found.complete
@@ -168,7 +164,5 @@ def _walk(index: Index, separators: list[Ids], engine: Engine, method: str, targ
             "the initial guess did not reach all nodes; the partition is damaged: partition the "
             "graph again"
         )
-    jobs = [
-        engine.submit(k, finish, file, target, poses[separators[k]]) for k, file in enumerate(files)
-    ]
-    engine.gather(jobs)
+    ends = [poses[own] for own in separators]
+    engine.gather(engine.map(finish, files, [target] * len(files), ends))

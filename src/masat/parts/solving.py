@@ -175,6 +175,7 @@ def _solve(
             # Costs of another loss do not compare: a new solve begins where that one ended.
             history = []
     system = PartSystem(index, engine, separators)
+    rounding = system.rounding(poses)
     cost = system.chi2(poses)
     if not math.isfinite(cost):
         raise OptimizationError("chi2 of the initial poses is not finite: they are too far apart")
@@ -182,7 +183,7 @@ def _solve(
         initial = checkpoint.initial_chi2
     else:
         initial = cost if loss is None else system.chi2_without_loss(poses)
-    limits = Termination(max_iterations, relative_tolerance, 0.0, 0.0, system.rounding(poses))
+    limits = Termination(max_iterations, relative_tolerance, 0.0, 0.0, rounding())
 
     def save(reason: StopReason | None) -> None:
         Checkpoint(

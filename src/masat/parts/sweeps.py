@@ -23,10 +23,12 @@ def up(index: Index, engine: Engine, task: Callable[..., Any], jobs: Sequence[An
     jobs : sequence
         One a piece.
     """
-    files, found = engine.files(), list[Any]()
-    for k, entry in enumerate(index.pieces):
-        below = [found[c] for c in entry.children]
-        found.append(engine.submit(k, task, files[k], jobs[k], below))
+    files, found = engine.files(), [None] * len(index.pieces)
+    for level in _levels(index):
+        below = [[found[c] for c in index.pieces[k].children] for k in level]
+        results = engine.map(task, [files[k] for k in level], [jobs[k] for k in level], below)
+        for k, result in zip(level, results, strict=True):
+            found[k] = result
     return found
 
 
@@ -53,9 +55,24 @@ def down(
         That name.
     """
     files, out = engine.files(), [None] * len(index.pieces)
-    for k in reversed(range(len(index.pieces))):
-        entry = index.pieces[k]
-        below = [found[c] for c in entry.children]
-        above = out[entry.parent] if entry.parent >= 0 else None
-        out[k] = engine.submit(k, task, files[k], jobs[k], below, above, target)
+    for level in reversed(_levels(index)):
+        entries = [index.pieces[k] for k in level]
+        below = [[found[c] for c in entry.children] for entry in entries]
+        above = [out[entry.parent] if entry.parent >= 0 else None for entry in entries]
+        own, targets = [jobs[k] for k in level], [target] * len(level)
+        results = engine.map(task, [files[k] for k in level], own, below, above, targets)
+        for k, result in zip(level, results, strict=True):
+            out[k] = result
     return out
+
+
+def _levels(index: Index) -> list[list[int]]:
+    """Return the pieces by how many are below each other from them down, the parts first."""
+    height: list[int] = []
+    levels: list[list[int]] = []
+    for k, entry in enumerate(index.pieces):
+        height.append(1 + max((height[c] for c in entry.children), default=-1))
+        if height[k] == len(levels):
+            levels.append([])
+        levels[height[k]].append(k)
+    return levels

@@ -62,18 +62,10 @@ class PartSystem:
         """Return chi2 or the robust cost at poses, and remember those of the lowest."""
         if poses not in self._known:
             step = self._pending.pop(poses, None)
-            before: list[Any] = [None] * len(self._index.pieces)
-            if step is not None and step.solutions:
-                before = step.solutions
-            files = self._engine.files()
-            # From the top down: a piece is linearized just after its poses have been written.
-            jobs = [
-                self._engine.submit(k, tasks.linearize, files[k], poses, before[k])
-                for k in self._down
-            ]
-            found: list[Linearization] = self._engine.gather(jobs)[::-1]
-            if step is not None:
-                step.finish()
+            if step is None:
+                found: list[Linearization] = self._engine.gather(self._linearize(poses))
+            else:
+                found = step.finish()[0]
             self._known = {name: self._known[name] for name in self._known if name == self._at}
             self._known[poses] = self._sum(found)
         self.latest = poses
@@ -103,16 +95,17 @@ class PartSystem:
                 diagonal = known.diagonal[own].ravel()
             jobs.append(tasks.Elimination(self._at, damping, known.floor, diagonal))
         messages = up(self._index, self._engine, tasks.eliminate, jobs)
+        self._count += 1
+        target = f"{self._run}-{self._count}"
+        solutions = down(self._index, self._engine, tasks.substitute, jobs, messages, target)
+        # What every optimizer asks next is asked at once, so that no worker has to wait for it.
+        step = _Step(self._engine, solutions, self._linearize(target, solutions))
         roots: list[Message] = self._engine.gather(
             [messages[k] for k, entry in enumerate(pieces) if entry.parent < 0]
         )
         failed = [root.failed for root in roots if root.failed is not None]
         if failed:
             return min(failed)
-        self._count += 1
-        target = f"{self._run}-{self._count}"
-        solutions = down(self._index, self._engine, tasks.substitute, jobs, messages, target)
-        step = _Step(self._engine, solutions)
         self._pending = {target: step}
         return DampedStep(target, step.length, step.predicted)
 
@@ -120,23 +113,27 @@ class PartSystem:
         """Return the poses after a step."""
         return step
 
-    def rounding(self, poses: str) -> float:
-        """Return the chi2 that the rounding of coordinates alone makes."""
+    def rounding(self, poses: str) -> Callable[[], float]:
+        """Return what waits for the chi2 that the rounding of coordinates alone makes."""
         return self._total(tasks.rounding, poses)
 
     def chi2_without_loss(self, poses: str) -> float:
         """Return chi2 at poses, without the loss."""
-        return self._total(tasks.chi2, poses)
+        return self._total(tasks.chi2, poses)()
 
-    def _total(self, task: Callable[[tasks.PieceFile, str], float], poses: str) -> float:
+    def _total(
+        self, task: Callable[[tasks.PieceFile, str], float], poses: str
+    ) -> Callable[[], float]:
         files = self._engine.files()
-        jobs = [self._engine.submit(k, task, file, poses) for k, file in enumerate(files)]
-        return math.fsum(self._engine.gather(jobs))
+        jobs = self._engine.map(task, files, [poses] * len(files))
+        return lambda: math.fsum(self._engine.gather(jobs))
 
-    @property
-    def _down(self) -> range:
-        """The pieces, parents before their children."""
-        return range(len(self._index.pieces) - 1, -1, -1)
+    def _linearize(self, poses: str, after: list[Any] | None = None) -> list[Any]:
+        """Return what stands for the linearizations of all pieces, after their solutions."""
+        files = self._engine.files()
+        return self._engine.map(
+            tasks.linearize, files, [poses] * len(files), after or [None] * len(files)
+        )
 
     def _sum(self, found: list[Linearization]) -> _Known:
         count, d = self._index.separators, self._index.dimension
@@ -155,31 +152,36 @@ class PartSystem:
 
 
 class _Step:
-    """The solutions of all pieces, and sums over them.
+    """The solutions of all pieces, sums over them, and the linearizations at the poses after them.
 
-    Once the sums are known the solutions are let go: else a cluster that loses workers would
-    compute again what nobody needs.
+    Once they are known the tasks are let go: else a cluster that loses workers would compute again
+    what nobody needs.
     """
 
-    def __init__(self, engine: Engine, solutions: list[Any]) -> None:
-        self._engine, self.solutions = engine, solutions
-        self._sums: tuple[float, float] | None = None
+    def __init__(self, engine: Engine, solutions: list[Any], linearizations: list[Any]) -> None:
+        self._engine = engine
+        self._tasks = linearizations, solutions
+        self._found: tuple[list[Linearization], float, float] | None = None
 
-    def finish(self) -> tuple[float, float]:
-        """Return the squared length and the predicted fall of chi2."""
-        if self._sums is None:
-            found: list[Solution] = self._engine.gather(self.solutions)
-            self.solutions = []
-            self._sums = (
-                math.fsum(one.squared for one in found),
-                math.fsum(one.predicted for one in found),
+    def finish(self) -> tuple[list[Linearization], float, float]:
+        """Return the linearizations, the squared length and the predicted fall of chi2."""
+        if self._found is None:
+            linearizations, solutions = self._tasks
+            # From the top down: a piece is linearized just after its poses have been written.
+            found = self._engine.gather([*linearizations[::-1], *solutions])
+            own: list[Solution] = found[len(linearizations) :]
+            self._found = (
+                found[: len(linearizations)][::-1],
+                math.fsum(one.squared for one in own),
+                math.fsum(one.predicted for one in own),
             )
-        return self._sums
+            self._tasks = [], []
+        return self._found
 
     def length(self) -> float:
         """Return the length."""
-        return math.sqrt(self.finish()[0])
+        return math.sqrt(self.finish()[1])
 
     def predicted(self) -> float:
         """Return the predicted fall of chi2."""
-        return self.finish()[1]
+        return self.finish()[2]

@@ -155,11 +155,13 @@ def release(folder: str) -> None:
     _core.free_workspace()
 
 
-def linearize(file: PieceFile, poses: str, after: object = None) -> Linearization:
+def linearize(file: PieceFile, poses: str, after: Solution | None = None) -> Linearization:
     """Return what the other pieces have to know of a piece at some poses.
 
-    `after` is the task that writes the poses.
+    `after` comes from the task that writes the poses, if that did not fail.
     """
+    if after is not None and after.failed:
+        return Linearization(np.nan, np.nan, np.nan, np.empty(0), np.empty(0))
     workspace = _WORKSPACES.of(file)
     with workspace.lock:
         return workspace.linearize(poses)
@@ -185,7 +187,9 @@ def substitute(
     """
     workspace = _WORKSPACES.of(file)
     with workspace.lock:
-        workspace.eliminate(task, messages)
+        message = workspace.eliminate(task, messages)
+        if message.failed is not None or (above is not None and above.failed):
+            return Solution(np.empty(0), np.nan, np.nan, failed=True)
         system = workspace.system
         solution = system.substitute(None if above is None else above.step)
         poses = read_poses(file.folder, task.poses, file.name, system.piece)
