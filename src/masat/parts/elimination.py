@@ -56,25 +56,40 @@ class Message(NamedTuple):
     failed: int | None = None
 
 
-class Solution(NamedTuple):
+class Step(NamedTuple):
     """The step of a piece.
 
     Attributes
     ----------
-    step : ndarray
+    values : ndarray
         At its own nodes and at its boundary.
     squared : float
         The squared length at its own nodes.
     predicted : float
         What its edges and its damping add to the fall of chi2 that is predicted.
-    failed : bool
-        Whether a matrix was not positive definite; then nothing else is known.
     """
 
-    step: Floats
+    values: Floats
     squared: float
     predicted: float
-    failed: bool = False
+
+
+class Solution(NamedTuple):
+    """What a step of all pieces leads to in one of them.
+
+    Attributes
+    ----------
+    step : Step
+        Its step.
+    after : Linearization
+        That at the poses after the step.
+    failed : int or None
+        The id of a node at which a matrix is not positive definite; then nothing else is known.
+    """
+
+    step: Step
+    after: Linearization
+    failed: int | None = None
 
 
 class PieceNodes:
@@ -281,7 +296,7 @@ class PieceSystem:
         )
         return self._eliminated.message
 
-    def substitute(self, above: Floats | None) -> Solution:
+    def substitute(self, above: Floats | None) -> Step:
         """Return the step after an elimination.
 
         Parameters
@@ -294,7 +309,7 @@ class PieceSystem:
         own = step[:end]
         gradient = float((step * self._equations.rhs()[: self._step_size]).sum())
         damped = float((self._damping[:end] * np.square(own)).sum())
-        return Solution(step, float(np.square(own).sum()), gradient + damped)
+        return Step(step, float(np.square(own).sum()), gradient + damped)
 
     @cached_property
     def _equations(self) -> _core.NormalEquations:

@@ -10,7 +10,6 @@ import math
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from masat.lie import DOF
 from masat.optimizers.damped import LINEAR, MIN_SCALE, DampedStep
 from masat.optimizers.termination import largest
 from masat.parts import tasks
-from masat.parts.elimination import Linearization, Message, Solution
+from masat.parts.elimination import Linearization, Solution
 from masat.parts.engines import Engine
 from masat.parts.index import Index
 from masat.parts.sweeps import down, up
@@ -52,7 +51,6 @@ class PartSystem:
         self._index, self._engine, self._separators = index, engine, separators
         self._dof = DOF[index.dimension]
         self._known: dict[str, _Known] = {}
-        self._pending: dict[str, _Step] = {}
         self._at = ""
         self._run, self._count = secrets.token_hex(4), 0
         self.lowest = math.inf
@@ -61,13 +59,9 @@ class PartSystem:
     def chi2(self, poses: str, /) -> float:
         """Return chi2 or the robust cost at poses, and remember those of the lowest."""
         if poses not in self._known:
-            step = self._pending.pop(poses, None)
-            if step is None:
-                found: list[Linearization] = self._engine.gather(self._linearize(poses))
-            else:
-                found = step.finish()[0]
-            self._known = {name: self._known[name] for name in self._known if name == self._at}
-            self._known[poses] = self._sum(found)
+            files = self._engine.files()
+            jobs = self._engine.map(tasks.linearize, files, [poses] * len(files))
+            self._know(poses, self._engine.gather(jobs))
         self.latest = poses
         cost = self._known[poses].cost
         if cost < self.lowest:
@@ -86,9 +80,9 @@ class PartSystem:
 
     def damped_step(self, damping: float, /) -> DampedStep | int:
         """Return the step, or the id of a node that the damped system does not determine."""
-        known, pieces = self._known[self._at], self._index.pieces
+        known = self._known[self._at]
         jobs: list[tasks.Elimination] = []
-        for k, entry in enumerate(pieces):
+        for k, entry in enumerate(self._index.pieces):
             diagonal = None
             if entry.children:
                 own = self._separators[k][: entry.own]
@@ -97,17 +91,17 @@ class PartSystem:
         messages = up(self._index, self._engine, tasks.eliminate, jobs)
         self._count += 1
         target = f"{self._run}-{self._count}"
-        solutions = down(self._index, self._engine, tasks.substitute, jobs, messages, target)
-        # What every optimizer asks next is asked at once, so that no worker has to wait for it.
-        step = _Step(self._engine, solutions, self._linearize(target, solutions))
-        roots: list[Message] = self._engine.gather(
-            [messages[k] for k, entry in enumerate(pieces) if entry.parent < 0]
-        )
-        failed = [root.failed for root in roots if root.failed is not None]
+        waiting = down(self._index, self._engine, tasks.substitute, jobs, messages, target)
+        found: list[Solution] = self._engine.gather(waiting[::-1])[::-1]
+        failed = [one.failed for one in found if one.failed is not None]
         if failed:
             return min(failed)
-        self._pending = {target: step}
-        return DampedStep(target, step.length, step.predicted)
+        self._know(target, [one.after for one in found])
+        return DampedStep(
+            target,
+            length=lambda: math.sqrt(math.fsum(one.step.squared for one in found)),
+            predicted=lambda: math.fsum(one.step.predicted for one in found),
+        )
 
     def retract(self, poses: str, step: str, /) -> str:
         """Return the poses after a step."""
@@ -128,12 +122,10 @@ class PartSystem:
         jobs = self._engine.map(task, files, [poses] * len(files))
         return lambda: math.fsum(self._engine.gather(jobs))
 
-    def _linearize(self, poses: str, after: list[Any] | None = None) -> list[Any]:
-        """Return what stands for the linearizations of all pieces, after their solutions."""
-        files = self._engine.files()
-        return self._engine.map(
-            tasks.linearize, files, [poses] * len(files), after or [None] * len(files)
-        )
+    def _know(self, poses: str, found: list[Linearization]) -> None:
+        """Keep what is known at poses, and at those where the system is set."""
+        self._known = {name: self._known[name] for name in self._known if name == self._at}
+        self._known[poses] = self._sum(found)
 
     def _sum(self, found: list[Linearization]) -> _Known:
         count, d = self._index.separators, self._index.dimension
@@ -149,39 +141,3 @@ class PartSystem:
             max(largest(rhs) if count else 0.0, *(one.steepest for one in found)),
             diagonal,
         )
-
-
-class _Step:
-    """The solutions of all pieces, sums over them, and the linearizations at the poses after them.
-
-    Once they are known the tasks are let go: else a cluster that loses workers would compute again
-    what nobody needs.
-    """
-
-    def __init__(self, engine: Engine, solutions: list[Any], linearizations: list[Any]) -> None:
-        self._engine = engine
-        self._tasks = linearizations, solutions
-        self._found: tuple[list[Linearization], float, float] | None = None
-
-    def finish(self) -> tuple[list[Linearization], float, float]:
-        """Return the linearizations, the squared length and the predicted fall of chi2."""
-        if self._found is None:
-            linearizations, solutions = self._tasks
-            # From the top down: a piece is linearized just after its poses have been written.
-            found = self._engine.gather([*linearizations[::-1], *solutions])
-            own: list[Solution] = found[len(linearizations) :]
-            self._found = (
-                found[: len(linearizations)][::-1],
-                math.fsum(one.squared for one in own),
-                math.fsum(one.predicted for one in own),
-            )
-            self._tasks = [], []
-        return self._found
-
-    def length(self) -> float:
-        """Return the length."""
-        return math.sqrt(self.finish()[1])
-
-    def predicted(self) -> float:
-        """Return the predicted fall of chi2."""
-        return self.finish()[2]

@@ -21,7 +21,14 @@ from masat.optimizers.equations import rounding_of
 from masat.optimizers.losses import NamedLoss
 from masat.parts.checkpoints import read_poses, write_poses
 from masat.parts.chordal import Linear, LinearSystem
-from masat.parts.elimination import Linearization, Message, PieceNodes, PieceSystem, Solution
+from masat.parts.elimination import (
+    Linearization,
+    Message,
+    PieceNodes,
+    PieceSystem,
+    Solution,
+    Step,
+)
 from masat.parts.pieces import read_piece
 
 # A system that is set up again on another worker takes as long as its bytes on the network, and
@@ -86,15 +93,17 @@ class _Workspace:
 
     def linear(self, task: Linear, messages: Sequence[Message]) -> LinearSystem:
         if self._linear is None or self._linear[0] != task:
-            self._linear, poses = None, None
-            if task.poses is not None:
-                poses = read_poses(self.file.folder, task.poses, self.file.name, self.nodes.piece)
+            self._linear = None
+            poses = None if task.poses is None else self.poses(task.poses)
             self._linear = task, LinearSystem(self.nodes, poses, messages)
         return self._linear[1]
 
-    def linearize(self, poses: str) -> Linearization:
+    def poses(self, name: str) -> Floats:
+        return read_poses(self.file.folder, name, self.file.name, self.nodes.piece)
+
+    def linearize(self, poses: str, known: Floats | None = None) -> Linearization:
         if self.linearization is None or self.at != poses:
-            at = read_poses(self.file.folder, poses, self.file.name, self.system.piece)
+            at = self.poses(poses) if known is None else known
             # An interruption must not leave what was known of other poses.
             self.linearization = self.eliminated = self._linear = None
             self.linearization, self.at = self.system.linearize(at), poses
@@ -155,13 +164,8 @@ def release(folder: str) -> None:
     _core.free_workspace()
 
 
-def linearize(file: PieceFile, poses: str, after: Solution | None = None) -> Linearization:
-    """Return what the other pieces have to know of a piece at some poses.
-
-    `after` comes from the task that writes the poses, if that did not fail.
-    """
-    if after is not None and after.failed:
-        return Linearization(np.nan, np.nan, np.nan, np.empty(0), np.empty(0))
+def linearize(file: PieceFile, poses: str) -> Linearization:
+    """Return what the other pieces have to know of a piece at some poses."""
     workspace = _WORKSPACES.of(file)
     with workspace.lock:
         return workspace.linearize(poses)
@@ -183,21 +187,25 @@ def substitute(
 ) -> Solution:
     """Solve for the step of a piece, and write the poses after it as those of the name `target`.
 
-    The step is returned only if pieces below need it.
+    What every optimizer asks next, the linearization there, is found at once. The values of the
+    step are returned only if pieces below need them.
     """
     workspace = _WORKSPACES.of(file)
     with workspace.lock:
         message = workspace.eliminate(task, messages)
-        if message.failed is not None or (above is not None and above.failed):
-            return Solution(np.empty(0), np.nan, np.nan, failed=True)
-        system = workspace.system
-        solution = system.substitute(None if above is None else above.step)
-        poses = read_poses(file.folder, task.poses, file.name, system.piece)
-        moved = lie.retract(poses, solution.step.reshape(len(poses), -1)) if len(poses) else poses
+        failed = message.failed if above is None else above.failed
+        if failed is not None:
+            nothing = np.empty(0)
+            return Solution(
+                Step(nothing, 0.0, 0.0), Linearization(0.0, 0.0, 0.0, nothing, nothing), failed
+            )
+        step = workspace.system.substitute(None if above is None else above.step.values)
+        poses = workspace.poses(task.poses)
+        moved = lie.retract(poses, step.values.reshape(len(poses), -1)) if len(poses) else poses
         write_poses(file.folder, target, file.name, moved)
-        if system.piece.children == 0:
-            return solution._replace(step=np.empty(0))
-        return solution
+        if workspace.nodes.piece.children == 0:
+            step = step._replace(values=np.empty(0))
+        return Solution(step, workspace.linearize(target, moved))
 
 
 def eliminate_linear(file: PieceFile, task: Linear, messages: Sequence[Message]) -> Message:
@@ -226,7 +234,7 @@ def chi2(file: PieceFile, poses: str) -> float:
     workspace = _WORKSPACES.of(file)
     with workspace.lock:
         system = workspace.system
-        return system.chi2(read_poses(file.folder, poses, file.name, system.piece))
+        return system.chi2(workspace.poses(poses))
 
 
 def rounding(file: PieceFile, poses: str) -> float:
@@ -234,5 +242,5 @@ def rounding(file: PieceFile, poses: str) -> float:
     workspace = _WORKSPACES.of(file)
     with workspace.lock:
         piece = workspace.system.piece
-        at = read_poses(file.folder, poses, file.name, piece)
+        at = workspace.poses(poses)
         return rounding_of(np.concatenate([at, piece.fixed_poses]), piece.edges, piece.information)
