@@ -8,7 +8,7 @@ determines is kept at the initial guess by further edges from the world (`determ
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -136,29 +136,56 @@ class Assembly:
         if len(nodes) == 0:
             return self
         old = self.graph
-        world = np.full(len(nodes), old.ids[-1])
+        edges = np.stack([np.full(len(nodes), old.ids[-1]), old.ids[nodes]], 1)
         structure = Structure(
             old.ids,
-            np.concatenate([old.edges, np.stack([world, old.ids[nodes]], 1)]),
+            np.concatenate([old.edges, edges]),
             old.fixed,
             old.dof,
             ordered_like=old.structure.ordered_like,
         )
-        graph = replace(
-            old,
-            edges=structure.edges,
-            structure=structure,
-            ids=structure.ids,
-            fixed=structure.fixed,
-            measurements=np.concatenate([old.measurements, measurements]),
-            information=np.concatenate([old.information, information]),
-            offsets=_padded(old.offsets, len(nodes)),
-            values=old.values + measured_directions(information),
-            range_bearing=None
-            if old.range_bearing is None
-            else np.append(old.range_bearing, np.zeros(len(nodes), np.bool_)),
-        )
-        return replace(self, graph=graph)
+        return replace(self, graph=_extended(old, structure, measurements, information))
+
+
+def with_edges(
+    graph: PoseGraph, edges: Ids, measurements: Floats, information: Floats
+) -> AssembledGraph:
+    """Return a graph with more edges, of partial information, for the solvers.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        A graph of edges alone, assembled or not.
+    edges : ndarray of int64, (k, 2)
+        Ids (from, to).
+    measurements, information : ndarray
+        As of a graph.
+    """
+    if not isinstance(graph, AssembledGraph):
+        known = {f.name: getattr(graph, f.name) for f in fields(PoseGraph)}
+        graph = AssembledGraph(**known, values=measured_directions(graph.information))
+    every = np.concatenate([graph.edges, edges])
+    structure = Structure(graph.ids, every, graph.gauge, graph.dof)
+    return _extended(graph, structure, measurements, information)
+
+
+def _extended(
+    graph: AssembledGraph, structure: Structure, measurements: Floats, information: Floats
+) -> AssembledGraph:
+    """Return a graph with more edges, which the structure has already."""
+    added, flags = len(measurements), graph.range_bearing
+    return replace(
+        graph,
+        edges=structure.edges,
+        structure=structure,
+        ids=structure.ids,
+        fixed=structure.fixed,
+        measurements=np.concatenate([graph.measurements, measurements]),
+        information=np.concatenate([graph.information, information]),
+        offsets=_padded(graph.offsets, added),
+        values=graph.values + measured_directions(information),
+        range_bearing=None if flags is None else np.append(flags, np.zeros(added, np.bool_)),
+    )
 
 
 def needs_assembly(graph: PoseGraph) -> bool:

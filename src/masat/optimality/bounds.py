@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from masat.arrays import Floats
@@ -46,13 +48,13 @@ def chi2_bound(graph: PoseGraph, chi2: float) -> float:
     OptimizationError
         If an information matrix is singular to rounding.
     """
-    return _Certificate(graph, chi2).bound(_ALLOWED)
+    return TangentRelaxation(graph, chi2).bound(_ALLOWED)
 
 
 def looks_global(graph: PoseGraph, chi2: float) -> bool:
     """Whether the certificate holds near the minimum at which an optimizer stopped early."""
     try:
-        return chi2 - _Certificate(graph, chi2).bound((0.0,)) <= _NEAR_MINIMUM * chi2
+        return chi2 - TangentRelaxation(graph, chi2).bound((0.0,)) <= _NEAR_MINIMUM * chi2
     except OptimizationError:
         return False
 
@@ -64,10 +66,30 @@ def lifted_bound(graph: PoseGraph, chi2: float, *, seed: int = 0) -> tuple[float
     certificate fails by less. Costs a descent at that rank. Arguments as of `chi2_bound`; the graph
     is None where memory does not allow the higher rank.
     """
-    return _Certificate(graph, chi2).lifted(seed)
+    relaxation = TangentRelaxation(graph, chi2)
+    try:
+        lifted = relaxation.lifted(seed)
+    except InitializationError:
+        return 0.0, None
+    return (0.0, None) if lifted is None else (lifted.bound, relaxation.rounded(lifted.unknowns))
 
 
-class _Certificate:
+class Lifted(NamedTuple):
+    """The minimum of a surrogate at a higher rank.
+
+    Attributes
+    ----------
+    bound : float
+        A bound on chi2.
+    unknowns : ndarray, (n, d + 1, p)
+        Those of the relaxation there.
+    """
+
+    bound: float
+    unknowns: Floats
+
+
+class TangentRelaxation:
     """The relaxation of the surrogate that touches chi2 at a graph's poses."""
 
     def __init__(self, graph: PoseGraph, chi2: float) -> None:
@@ -80,20 +102,22 @@ class _Certificate:
         self._unknowns = self._relaxation.unknowns(graph.poses, graph.dimension)
 
     def bound(self, allowed: tuple[float, ...]) -> float:
+        """Return a bound that gives up one of some fractions of chi2, the first that holds."""
         return self._touched_less(self._unknowns, 0.0, allowed)
 
-    def lifted(self, seed: int) -> tuple[float, PoseGraph | None]:
+    def lifted(self, seed: int, allowed: tuple[float, ...] = _ALLOWED) -> Lifted | None:
+        """Return the minimum at a higher rank, or None where memory does not allow that."""
         relaxation = self._relaxation
         if not relaxation.can_lift():
-            return 0.0, None
-        try:
-            top = relaxation.minimize_lifted(self._unknowns, decrease=_LIFTED_DECREASE, seed=seed)
-        except InitializationError:
-            return 0.0, None
-        poses = relaxation.poses(top.unknowns)
-        rounded = self._graph.with_poses(poses) if np.isfinite(poses).all() else None
+            return None
+        top = relaxation.minimize_lifted(self._unknowns, decrease=_LIFTED_DECREASE, seed=seed)
         below = relaxation.cost(self._unknowns) - top.cost
-        return self._touched_less(top.unknowns, below, _ALLOWED), rounded
+        return Lifted(self._touched_less(top.unknowns, below, allowed), top.unknowns)
+
+    def rounded(self, unknowns: Floats) -> PoseGraph | None:
+        """Return the graph at the poses nearest to unknowns, or None if they are not finite."""
+        poses = self._relaxation.poses(unknowns)
+        return self._graph.with_poses(poses) if np.isfinite(poses).all() else None
 
     def _touched_less(self, x: Floats, below: float, allowed: tuple[float, ...]) -> float:
         """Return the best bound that unknowns give whose cost lies that far below the poses'."""

@@ -12,6 +12,7 @@ from masat.errors import InitializationError, OptimizationError
 from masat.freedoms import undetermined
 from masat.graph import PoseGraph
 from masat.optimality.bounds import TIGHT, chi2_bound, lifted_bound
+from masat.optimality.branching import branched_bound
 from masat.optimality.search import lower_minimum
 from masat.optimizers import Result, optimize
 from masat.optimizers.equations import normal_equations, rounding_level
@@ -233,6 +234,12 @@ def _certify(
                 best = min(best, found, key=lambda result: result.chi2)
             if best.chi2 < first:
                 bound = max(bound, chi2_bound(best.graph, best.chi2))
+            if graph.dimension == 2 and not proven(best) and not progress.over:
+                progress.tell("branching on relative rotations", best.chi2)
+                higher, lower = branched_bound(best.graph, best.chi2, seed=seed, progress=progress)
+                bound = max(bound, higher)
+                if lower is not None:
+                    best = min(best, minimum(lower), key=lambda result: result.chi2)
     except KeyboardInterrupt:
         progress.interrupt()
         trouble = " (interrupted)"

@@ -1,0 +1,235 @@
+"""A lower bound on chi2 of boxes: in each, relative rotations of a few pairs of nodes are confined.
+
+Where the relaxation of the whole problem is not tight, two parts of the graph may rotate either way
+relative to each other, and the relaxation takes a mixture of both. The circle of such a rotation is
+cut into arcs. Within an arc of the middle m and the half-width h, a rotation r has
+k (r - m)^2 <= k h^2: chi2 plus the edge k (r - m)^2, which holds the two nodes together, exceeds
+chi2 by k h^2 at most. A bound of that graph less k h^2 is one of chi2 for all poses in the arc.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from masat.arrays import Floats
+from masat.assembly import AssembledGraph, with_edges
+from masat.errors import InitializationError, OptimizationError
+from masat.graph import PoseGraph
+from masat.optimality.bounds import TIGHT, TangentRelaxation
+from masat.optimizers import Result, optimize
+from masat.optimizers.equations import normal_equations, why_singular
+from masat.progress import Progress
+
+# More pairs than these take too many boxes: 16 are enough for one pair, some hundreds for three.
+_MAX_PAIRS, _MAX_BOXES = 2, 100
+_ITERATIONS = 60
+# Fractions of chi2 that a bound may give up in a box, from the smallest on.
+_ALLOWED = (0.0, TIGHT / 10)
+_ALLOWED_LIFTED = (TIGHT / 10, 1e-5, 3e-5, 1e-4, 2e-4, 5e-4, 1e-3)
+# Determinant of the product of two nodes' frames at a higher rank above which they do not mix.
+_UNMIXED = 0.97
+
+Pair = tuple[int, int]
+
+
+class Box(NamedTuple):
+    """Poses in which the relative rotation of each pair is in an arc.
+
+    Attributes
+    ----------
+    arcs : dict
+        The first and the last angle of each pair of nodes, which are given by their indices.
+    poses : ndarray, (n, 3)
+        Where an optimizer begins.
+    """
+
+    arcs: dict[Pair, tuple[float, float]]
+    poses: Floats
+
+
+def branched_bound(
+    graph: PoseGraph, chi2: float, *, seed: int = 0, progress: Progress | None = None
+) -> tuple[float, PoseGraph | None]:
+    """Return a number that chi2 of no poses lies below, and a graph at lower poses if any are met.
+
+    Arcs of the pair that the relaxation mixes most are bounded one by one and, where that is not
+    enough, halved or divided by another pair. Source of the method: Land and Doig, An automatic
+    method of solving discrete programming problems, 1960.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        A graph in 2D, at the minimum in question.
+    chi2 : float
+        Its chi2.
+    seed : int
+        Seed of the random noise that is added when a rank is raised.
+    progress : Progress, optional
+        What limits the time.
+
+    Returns
+    -------
+    bound : float
+        0 if too many boxes would have to be looked at.
+    lower : PoseGraph or None
+        The graph at poses of a lower chi2.
+    """
+    return _Branching(graph, chi2, seed).bound(progress or Progress())
+
+
+class _Branching:
+    """The boxes that are still to be bounded."""
+
+    def __init__(self, graph: PoseGraph, chi2: float, seed: int) -> None:
+        assert graph.poses is not None
+        self._graph, self._poses, self._chi2, self._seed = graph, graph.poses, chi2, seed
+        self._enough = chi2 * (1 - TIGHT / 4)
+        self._stiffness: dict[Pair, float] = {}
+        self._equations = normal_equations(graph, 1)
+        self._equations.linearize(graph.poses)
+        failed = self._equations.factorize(np.zeros_like(self._equations.rhs()))
+        if failed >= 0:
+            raise OptimizationError(why_singular(graph, failed))
+        self._index = np.full(len(graph.ids), -1, np.int32)
+        free = graph.elimination.free_nodes()
+        self._index[free] = np.arange(len(free), dtype=np.int32)
+
+    def bound(self, progress: Progress) -> tuple[float, PoseGraph | None]:
+        waiting, lowest = [Box({}, self._poses)], self._chi2
+        for _ in range(_MAX_BOXES):
+            if not waiting:
+                return lowest, None
+            if progress.over:
+                break
+            box = waiting.pop()
+            result = self._minimum(box)
+            if self._equations.chi2(result.poses) < self._chi2 * (1 - TIGHT):
+                return 0.0, self._graph.with_poses(result.poses)
+            found = self._bounded(box, result)
+            if isinstance(found, float):
+                lowest = min(lowest, found)
+            elif found is None:
+                break
+            else:
+                waiting += found
+        return 0.0, None
+
+    def _minimum(self, box: Box) -> Result:
+        """Return a minimum of the graph with an edge for each pair of a box."""
+        return optimize(
+            self._confined(box),
+            "levenberg_marquardt",
+            relative_tolerance=1e-12,
+            max_iterations=_ITERATIONS,
+        )
+
+    def _bounded(self, box: Box, result: Result) -> float | list[Box] | None:
+        """Return a bound of a box if it is high enough, else smaller boxes, or None to give up."""
+        exceeds = self._exceeds(box)
+        if result.chi2 - exceeds < self._enough:
+            return self._divided(box, self._widest(box), result.poses)
+        relaxation = TangentRelaxation(result.graph, result.chi2)
+        bound = relaxation.bound(_ALLOWED) - exceeds
+        if bound >= self._enough:
+            return bound
+        allowed = [a for a in _ALLOWED_LIFTED if a * self._chi2 < result.chi2 - exceeds]
+        try:
+            lifted = relaxation.lifted(self._seed, tuple(allowed))
+        except InitializationError:
+            return None
+        if lifted is None:
+            return None
+        if lifted.bound - exceeds >= self._enough:
+            return lifted.bound - exceeds
+        pair, determinant = _most_mixed(lifted.unknowns)
+        if pair not in box.arcs:
+            if determinant > _UNMIXED and box.arcs:
+                return self._divided(box, self._widest(box), result.poses)
+            if len(box.arcs) == _MAX_PAIRS or pair[0] == pair[1]:
+                return None
+            middle = self._angle(pair)
+            arcs = {**box.arcs, pair: (middle - np.pi, middle + np.pi)}
+            box = box._replace(arcs=arcs)
+        return self._divided(box, pair, result.poses)
+
+    def _divided(self, box: Box, pair: Pair, poses: Floats) -> list[Box]:
+        """Return the boxes that divide an arc: in three around the minimum, or in two."""
+        first, last = box.arcs[pair]
+        angle = self._angle(pair)
+        angle += 2 * np.pi * np.round(((first + last) / 2 - angle) / (2 * np.pi))
+        if first < angle < last:
+            near = max(last - angle, angle - first) / 3
+            cuts = [first, max(first, angle - near), min(last, angle + near), last]
+        else:
+            cuts = [first, (first + last) / 2, last]
+        return [Box({**box.arcs, pair: (a, b)}, poses) for a, b in pairwise(cuts) if a < b]
+
+    def _widest(self, box: Box) -> Pair:
+        return max(box.arcs, key=lambda pair: self._exceeds(Box({pair: box.arcs[pair]}, box.poses)))
+
+    def _exceeds(self, box: Box) -> float:
+        """Return by how much the edges of a box raise chi2 within it at most."""
+        return sum(self._weight(pair) * ((b - a) / 2) ** 2 for pair, (a, b) in box.arcs.items())
+
+    def _confined(self, box: Box) -> PoseGraph:
+        if not box.arcs:
+            return self._graph.with_poses(box.poses)
+        pairs = np.array(list(box.arcs))
+        measurements, information = np.zeros((len(pairs), 3)), np.zeros((len(pairs), 3, 3))
+        middles = np.array([(a + b) / 2 for a, b in box.arcs.values()])
+        measurements[:, 2] = np.arctan2(np.sin(middles), np.cos(middles))
+        information[:, 2, 2] = [self._weight(pair) for pair in box.arcs]
+        confined: AssembledGraph = with_edges(
+            self._graph, self._graph.ids[pairs], measurements, information
+        )
+        return confined.with_poses(box.poses)
+
+    def _angle(self, pair: Pair) -> float:
+        """Return the relative rotation of a pair at the minimum."""
+        return float(self._poses[pair[1], 2] - self._poses[pair[0], 2])
+
+    def _weight(self, pair: Pair) -> float:
+        """Return the stiffness of a relative rotation at the minimum: the inverse variance.
+
+        With it an edge divides what lies between the middle of an arc and the minimum evenly.
+        """
+        if pair not in self._stiffness:
+            rows, columns = self._index[[*pair, pair[0]]], self._index[[*pair, pair[1]]]
+            free = (rows >= 0) & (columns >= 0)
+            blocks = np.zeros(3)
+            blocks[free] = self._equations.inverse(rows[free], columns[free])[:, 2, 2]
+            self._stiffness[pair] = 1 / float(blocks[0] + blocks[1] - 2 * blocks[2])
+        return self._stiffness[pair]
+
+
+def _most_mixed(unknowns: Floats) -> tuple[Pair, float]:
+    """Return nodes whose relative rotation is mixed from several, and the determinant of that.
+
+    Parameters
+    ----------
+    unknowns : ndarray, (n, 3, p)
+        Of a relaxation at the rank p.
+
+    Returns
+    -------
+    pair : tuple of int
+        Indices of the nodes, in ascending order.
+    determinant : float
+        That of the product of their frames: 1 if it is a rotation.
+    """
+    frames = unknowns[:, :2]
+    flat = frames.reshape(-1, frames.shape[2])
+    _, vectors = np.linalg.eigh(flat.T @ flat)
+    across = np.square(frames @ vectors[:, :-2]).sum(axis=(1, 2))
+    one = other = int(np.argmax(across))
+    determinant = 1.0
+    # Each node looks for its own counterpart in turn.
+    for _ in range(3):
+        products = np.einsum("ak,nbk->nab", frames[one], frames)
+        determinants = np.linalg.det(products)
+        one, other = int(np.argmin(determinants)), one
+        determinant = float(determinants[one])
+    return (min(one, other), max(one, other)), determinant
