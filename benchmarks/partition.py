@@ -76,6 +76,8 @@ def main() -> None:
         row(f"parts on {options.workers} workers" if options.workers else "parts in turn", parted)
         for k, worker in enumerate(parted["workers"]):
             print(f"{f'  worker {k}':<46}{worker / 1e6:>9.0f}")
+        if options.workers:
+            print(f"{'  the same again':<28}{parted['again']:>9.2f}")
         print(f"chi2 {parted['chi2']:.10g} after {parted['iterations']} iterations")
         if whole is not None:
             compare(whole, parted)
@@ -145,7 +147,7 @@ def partition(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
 def solve(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Solve the parts."""
     parts = masat.Partition(folder / "parts")
-    begin, before = process_time(), 0.0
+    begin, before, again = process_time(), 0.0, 0.0
     if options.workers == 0:
         result = parts.solve(options.optimizer, memory=options.memory)
         workers: list[int] = []
@@ -167,6 +169,7 @@ def solve(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
             begin = process_time()
             result = parts.solve(options.optimizer, client=client)
             before -= sum(client.run(process_time).values())
+            again = parts.solve(options.optimizer, client=client, restart=True).seconds
             workers = sorted(client.run(peak).values())
     return {
         "seconds": result.seconds,
@@ -174,6 +177,7 @@ def solve(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
         "chi2": result.chi2,
         "iterations": result.iterations,
         "workers": workers,
+        "again": again,
     }
 
 
