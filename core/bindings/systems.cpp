@@ -208,8 +208,9 @@ void bind_systems(nb::module_& m) {
       .def("adjacency", &adjacency_of)
       .def("order",
            [](const Elimination& e) { return as_array(std::vector<std::int32_t>(e.tree().order)); })
-      .def("parents",
-           [](const Elimination& e) { return as_array(std::vector<std::int32_t>(e.tree().parent)); })
+      .def(
+          "parents",
+          [](const Elimination& e) { return as_array(std::vector<std::int32_t>(e.tree().parent)); })
       .def(
           "factor_bytes",
           [](const Elimination& e, int block_size) {
