@@ -180,7 +180,7 @@ def threads(command: F) -> F:
         "--threads",
         type=click.IntRange(min=1, max=1024),
         help="Threads that compute; the numbers do not depend on it.  "
-        "[default: as many as pay for this graph]",
+        "[default: as many as pay for this graph; in a folder of parts one]",
     )(command)
 
 

@@ -177,7 +177,7 @@ def solve_parts(
             restart=restart,
             client=connected,
             memory=memory,
-            threads=threads,
+            threads=1 if threads is None else threads,
             max_iterations=max_iterations,
             relative_tolerance=tolerance,
             report=iterations,

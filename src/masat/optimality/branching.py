@@ -130,6 +130,9 @@ class _Branching:
         """Return a bound of a box if it is high enough, else smaller boxes, or None to give up."""
         exceeds = self._exceeds(box)
         if result.chi2 - exceeds < self._enough:
+            # Without a pair, the minimum in question is none.
+            if not box.arcs:
+                return None
             return self._divided(box, self._widest(box), result.poses)
         relaxation = TangentRelaxation(result.graph, result.chi2)
         bound = relaxation.bound(_ALLOWED) - exceeds

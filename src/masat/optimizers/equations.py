@@ -69,12 +69,17 @@ def threads_of(given: int | None, operations: float) -> int:
     All parts of an iteration use as many; `operations` are those of its factorization.
     """
     if given is not None:
-        if not 1 <= given <= _MAX_GIVEN_THREADS:
-            raise OptimizationError(f"threads must be from 1 to {_MAX_GIVEN_THREADS}, got {given}")
-        return given
+        return checked_threads(given)
     if operations < _MIN_PARALLEL_OPERATIONS:
         return 1
     return max(1, min(_MAX_THREADS, _available_cores()))
+
+
+def checked_threads(threads: int) -> int:
+    """Return a number of threads that was asked for, if there can be as many."""
+    if not 1 <= threads <= _MAX_GIVEN_THREADS:
+        raise OptimizationError(f"threads must be from 1 to {_MAX_GIVEN_THREADS}, got {threads}")
+    return threads
 
 
 def _available_cores() -> int:

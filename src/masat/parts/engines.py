@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from masat.errors import PartitionError
-from masat.optimizers.equations import threads_of
 from masat.optimizers.losses import NamedLoss
 from masat.parts.cost import homes
 from masat.parts.index import Index
@@ -71,8 +70,8 @@ class InTurn:
         Name and scale of the loss that is minimized. Default: chi2 is.
     trusted : list of bytes, optional
         `PieceFile.trusted` of each piece. Default: the loss applies to all edges.
-    threads : int, optional
-        Threads that compute. Default: as many as pay for a piece.
+    threads : int
+        Threads that compute a task.
     """
 
     def __init__(
@@ -82,7 +81,7 @@ class InTurn:
         memory: int | None = None,
         loss: NamedLoss | None = None,
         trusted: list[bytes] | None = None,
-        threads: int | None = None,
+        threads: int = 1,
     ) -> None:
         limit = _quarter_of_machine() if memory is None else memory
         self._folder = _where(folder)
@@ -119,10 +118,8 @@ class OnCluster:
         The folder of the partition.
     index : Index
         Its index.
-    loss, trusted
+    loss, trusted, threads
         As of `InTurn`.
-    threads : int
-        Threads that compute a task.
     """
 
     def __init__(
@@ -201,7 +198,7 @@ def _files_of(
     limit: int,
     loss: NamedLoss | None,
     trusted: list[bytes] | None,
-    threads: int | None,
+    threads: int,
 ) -> list[PieceFile]:
     where = _where(folder)
     flags: Sequence[bytes | None] = trusted or [None] * len(index.pieces)
@@ -215,7 +212,7 @@ def _files_of(
             limit=limit,
             loss=loss,
             trusted=own,
-            threads=threads_of(threads, entry.operations),
+            threads=threads,
         )
         for entry, own in zip(index.pieces, flags, strict=True)
     ]

@@ -62,7 +62,7 @@ class Partition:
         restart: bool = False,
         client: Any | None = None,
         memory: int | None = None,
-        threads: int | None = None,
+        threads: int = 1,
         max_iterations: int = 100,
         relative_tolerance: float = 1e-9,
         report: Report | None = None,
@@ -99,9 +99,9 @@ class Partition:
             Without a client, how many bytes the factors may take together. Default: a quarter of
             the machine's memory. With less than all of them take, parts are factorized again when
             they are needed.
-        threads : int, optional
+        threads : int
             Threads that compute, on a cluster those of each task. The numbers do not depend on it.
-            Default: as many as pay for a part on this machine; on a cluster one.
+            Each part that is held needs memory for each of them.
         max_iterations : int
             Limit of the iterations from now on.
         relative_tolerance : float

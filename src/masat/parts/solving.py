@@ -15,6 +15,7 @@ from masat.arrays import Flags, Ids
 from masat.errors import OptimizationError, PartitionError
 from masat.lie import DOF
 from masat.optimizers import SHORT_NAMES
+from masat.optimizers.equations import checked_threads
 from masat.optimizers.gauss_newton import gauss_newton
 from masat.optimizers.levenberg_marquardt import levenberg_marquardt
 from masat.optimizers.losses import (
@@ -107,7 +108,7 @@ def solve_partition(
     restart: bool,
     client: Any | None,
     memory: int | None,
-    threads: int | None,
+    threads: int,
     max_iterations: int,
     relative_tolerance: float,
     report: Report | None,
@@ -121,6 +122,7 @@ def solve_partition(
         )
     if max_iterations < 0 or relative_tolerance < 0:
         raise OptimizationError("iteration limit and tolerances must not be negative")
+    checked_threads(threads)
     if loss is None and (scale is not None or trusted is not None):
         raise OptimizationError("scale and trusted have no effect without a loss: give one")
     scaled = None if loss is None else _scaled(loss, scale, DOF[index.dimension])
@@ -130,7 +132,7 @@ def solve_partition(
     if client is None:
         engine = InTurn(folder, index, memory, scaled, flags, threads)
     else:
-        engine = OnCluster(client, folder, index, scaled, flags, 1 if threads is None else threads)
+        engine = OnCluster(client, folder, index, scaled, flags, threads)
     try:
         return _solve(
             folder,
