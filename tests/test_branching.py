@@ -12,6 +12,7 @@ from masat import lie
 from masat.assembly import with_edges
 from masat.optimality.bounds import TIGHT, chi2_bound
 from masat.optimality.branching import Box, _Branching, _most_mixed, branched_bound
+from masat.progress import Progress
 from masat.worlds import manhattan, perturb
 
 
@@ -65,10 +66,26 @@ def test_a_worse_minimum_is_not_proven(seed):
         assert lower is None or lower.chi2 < result.chi2
 
 
+def test_poses_that_are_no_minimum_are_lowered():
+    graph = loose(8)
+    moved = lie.retract(graph.poses, np.random.default_rng(0).normal(size=(len(graph), 3)) * 1e-4)
+    above = graph.with_poses(moved)
+    for fraction in (3e-7, 7e-7, 1e-5):
+        bound, lower = branched_bound(above, graph.chi2 * (1 + fraction))
+        assert bound == 0
+        assert lower.chi2 == pytest.approx(graph.chi2)
+
+
+def test_fixed_nodes_have_no_loose_rotation():
+    graph = loose(10).with_fixed([0, 5])
+    assert not _Branching(graph, graph.chi2, 0, Progress())._is_loose((0, 5))
+
+
 def test_a_box_exceeds_chi2_by_no_more_than_it_says():
     graph = loose(10)
-    branching = _Branching(graph, graph.chi2, 0)
+    branching = _Branching(graph, graph.chi2, 0, Progress())
     pair, rng = (3, 120), np.random.default_rng(0)
+    assert branching._is_loose(pair)
     angle = graph.poses[pair[1], 2] - graph.poses[pair[0], 2]
     for _ in range(200):
         width, at = rng.uniform(0.01, np.pi), rng.uniform(-4, 4)
@@ -83,7 +100,7 @@ def test_a_box_exceeds_chi2_by_no_more_than_it_says():
 
 def test_the_boxes_of_a_division_are_the_whole():
     graph = loose(10)
-    branching = _Branching(graph, graph.chi2, 0)
+    branching = _Branching(graph, graph.chi2, 0, Progress())
     pair, waiting = (5, 77), []
     middle = branching._angle(pair)
     waiting = [Box({pair: (middle - np.pi, middle + np.pi)}, graph.poses)]
@@ -100,8 +117,10 @@ def test_the_boxes_of_a_division_are_the_whole():
 
 def test_the_stiffness_of_a_relative_rotation_is_its_inverse_variance():
     graph = loose(10)
-    branching = _Branching(graph, graph.chi2, 0)
+    branching = _Branching(graph, graph.chi2, 0, Progress())
+    assert not branching._is_loose((7, 7))
     for pair in ((0, 50), (3, 120)):
+        assert branching._is_loose(pair)
         of_pair = masat.relative_covariances(graph, [graph.ids[list(pair)]])
         assert_allclose(branching._weight(pair), 1 / of_pair[0, 2, 2], rtol=1e-6)
 

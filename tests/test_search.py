@@ -330,3 +330,25 @@ def test_the_best_known_minima_of_hard_graphs_are_found(name, data_dir):
     if not name.startswith("star"):
         best = masat.read(path.with_name(f"{name}_best.g2o.gz")).chi2
     assert masat.solve(graph).chi2 <= best * (1 + 1e-6)
+
+
+@pytest.mark.filterwarnings("ignore::masat.MasatWarning")
+@pytest.mark.parametrize("seed", [89, 953, 1547])
+def test_shifted_edges_between_fixed_nodes_are_left_out(seed):
+    # Weights of many decades: nodes at both ends of a shifted edge may be fixed in its part.
+    rng = np.random.default_rng(seed)
+    nodes, extra = int(rng.integers(3, 12)), int(rng.integers(1, 14))
+    noise = float(rng.uniform(0.2, 1.5)) if seed % 3 else None
+    graph = random_graph(2, nodes, extra, seed, noise=noise)
+    m, span = len(graph.edges), rng.uniform(0, 6)
+    information = np.zeros((m, 3, 3))
+    information[:, 0, 0] = information[:, 1, 1] = 10 ** rng.uniform(-span, span, m)
+    information[:, 2, 2] = 10 ** rng.uniform(-span, span, m)
+    measurements, poses = graph.measurements.copy(), graph.poses.copy()
+    measurements[:, :2] *= 1000
+    poses[:, :2] *= 1000
+    graph = PoseGraph.from_arrays(
+        graph.edges, measurements, information, ids=graph.ids, poses=poses
+    )
+    near = masat.optimize(graph, relative_tolerance=1e-9).graph
+    assert lower_minimum(near).chi2 <= near.chi2 * (1 + 1e-9)

@@ -5,6 +5,7 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -38,15 +39,24 @@ template <class System>
 std::int32_t factorize_part(System& system, const Vector<double>& damping,
                             const std::vector<ElementArrays>& given) {
   require(damping.shape(0) == rows_of(system), "damping must have an entry a row");
+  const Elimination& elimination = elimination_of(system);
+  const std::int32_t count = elimination.tree().interface.elements;
+  require(static_cast<std::int32_t>(given.size()) == count, "one block an element");
   std::vector<Element> elements;
   for (const auto& [nodes, block] : given) {
+    const auto element =
+        static_cast<std::int32_t>(elimination.free_nodes().size() - count + elements.size());
+    std::vector<std::int32_t> joined, named(nodes.data(), nodes.data() + nodes.shape(0));
+    for (const auto& neighbor : elimination.adjacency().neighbors(element)) {
+      joined.push_back(neighbor.node);
+    }
+    std::sort(joined.begin(), joined.end());
+    std::sort(named.begin(), named.end());
+    require(joined == named, "an element has the nodes that it is joined to");
     const std::size_t scalars = nodes.shape(0) * block_size_of(system);
     require(block.shape(0) == scalars * (scalars + 1) / 2, "an element is a packed triangle");
     elements.push_back({span_of(nodes), block.data()});
   }
-  require(static_cast<std::int32_t>(elements.size()) ==
-              elimination_of(system).tree().interface.elements,
-          "one block an element");
   nb::gil_scoped_release release;
   return system.factorize(span_of(damping), elements);
 }

@@ -163,6 +163,7 @@ def with_edges(
     """
     if not isinstance(graph, AssembledGraph):
         known = {f.name: getattr(graph, f.name) for f in fields(PoseGraph)}
+        known |= {"labels": None, "stamps": None}
         graph = AssembledGraph(**known, values=measured_directions(graph.information))
     every = np.concatenate([graph.edges, edges])
     structure = Structure(graph.ids, every, graph.gauge, graph.dof)

@@ -3,8 +3,9 @@
 Where the relaxation of the whole problem is not tight, two parts of the graph may rotate either way
 relative to each other, and the relaxation takes a mixture of both. The circle of such a rotation is
 cut into arcs. Within an arc of the middle m and the half-width h, a rotation r has
-k (r - m)^2 <= k h^2: chi2 plus the edge k (r - m)^2, which holds the two nodes together, exceeds
-chi2 by k h^2 at most. A bound of that graph less k h^2 is one of chi2 for all poses in the arc.
+k (r - m)^2 <= k h^2 for any k > 0, r - m being the shorter way round. So chi2 plus the edge
+k (r - m)^2, which holds the two nodes together, exceeds chi2 by k h^2 at most, and a bound of that
+graph less k h^2 is one of chi2 for all poses in the arc.
 """
 
 from __future__ import annotations
@@ -16,21 +17,23 @@ import numpy as np
 
 from masat.arrays import Floats
 from masat.assembly import AssembledGraph, with_edges
-from masat.errors import InitializationError, OptimizationError
+from masat.errors import InitializationError
 from masat.graph import PoseGraph
 from masat.optimality.bounds import TIGHT, TangentRelaxation
 from masat.optimizers import Result, optimize
-from masat.optimizers.equations import normal_equations, why_singular
+from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
 
 # More pairs than these take too many boxes: 16 are enough for one pair, some hundreds for three.
 _MAX_PAIRS, _MAX_BOXES = 2, 100
 _ITERATIONS = 60
-# Fractions of chi2 that a bound may give up in a box, from the smallest on.
+# Fractions of a box's chi2, its edges included, that a bound may give up, from the smallest on.
 _ALLOWED = (0.0, TIGHT / 10)
 _ALLOWED_LIFTED = (TIGHT / 10, 1e-5, 3e-5, 1e-4, 2e-4, 5e-4, 1e-3)
 # Determinant of the product of two nodes' frames at a higher rank above which they do not mix.
 _UNMIXED = 0.97
+# A smaller variance, as a fraction of those of the two nodes, is lost in rounding.
+_LOST = 1e-10
 
 Pair = tuple[int, int]
 
@@ -73,40 +76,41 @@ def branched_bound(
     Returns
     -------
     bound : float
-        0 if too many boxes would have to be looked at.
+        0 if lower poses are met, and where it gives up: after too many boxes, where more than two
+        pairs mix, at the end of the time budget, and where memory does not allow the higher rank.
     lower : PoseGraph or None
         The graph at poses of a lower chi2.
     """
-    return _Branching(graph, chi2, seed).bound(progress or Progress())
+    return _Branching(graph, chi2, seed, progress or Progress()).bound()
 
 
 class _Branching:
     """The boxes that are still to be bounded."""
 
-    def __init__(self, graph: PoseGraph, chi2: float, seed: int) -> None:
+    def __init__(self, graph: PoseGraph, chi2: float, seed: int, progress: Progress) -> None:
         assert graph.poses is not None
+        self._progress = progress
         self._graph, self._poses, self._chi2, self._seed = graph, graph.poses, chi2, seed
         self._enough = chi2 * (1 - TIGHT / 4)
         self._stiffness: dict[Pair, float] = {}
         self._equations = normal_equations(graph, 1)
         self._equations.linearize(graph.poses)
-        failed = self._equations.factorize(np.zeros_like(self._equations.rhs()))
-        if failed >= 0:
-            raise OptimizationError(why_singular(graph, failed))
+        self._is_minimum = self._equations.factorize(np.zeros_like(self._equations.rhs())) < 0
         self._index = np.full(len(graph.ids), -1, np.int32)
         free = graph.elimination.free_nodes()
         self._index[free] = np.arange(len(free), dtype=np.int32)
 
-    def bound(self, progress: Progress) -> tuple[float, PoseGraph | None]:
+    def bound(self) -> tuple[float, PoseGraph | None]:
+        """See `branched_bound`."""
         waiting, lowest = [Box({}, self._poses)], self._chi2
-        for _ in range(_MAX_BOXES):
+        for _ in range(_MAX_BOXES + 1):
             if not waiting:
                 return lowest, None
-            if progress.over:
+            if self._progress.over or not self._is_minimum:
                 break
             box = waiting.pop()
             result = self._minimum(box)
-            if self._equations.chi2(result.poses) < self._chi2 * (1 - TIGHT):
+            if self._equations.chi2(result.poses) < self._enough:
                 return 0.0, self._graph.with_poses(result.poses)
             found = self._bounded(box, result)
             if isinstance(found, float):
@@ -124,23 +128,22 @@ class _Branching:
             "levenberg_marquardt",
             relative_tolerance=1e-12,
             max_iterations=_ITERATIONS,
+            progress=self._progress,
         )
 
     def _bounded(self, box: Box, result: Result) -> float | list[Box] | None:
         """Return a bound of a box if it is high enough, else smaller boxes, or None to give up."""
         exceeds = self._exceeds(box)
-        if result.chi2 - exceeds < self._enough:
-            # Without a pair, the minimum in question is none.
-            if not box.arcs:
-                return None
+        slack = result.chi2 - exceeds - self._enough
+        if slack < 0:
             return self._divided(box, self._widest(box), result.poses)
         relaxation = TangentRelaxation(result.graph, result.chi2)
         bound = relaxation.bound(_ALLOWED) - exceeds
         if bound >= self._enough:
             return bound
-        allowed = [a for a in _ALLOWED_LIFTED if a * self._chi2 < result.chi2 - exceeds]
+        allowed = [a for a in _ALLOWED_LIFTED[1:] if a * result.chi2 < slack]
         try:
-            lifted = relaxation.lifted(self._seed, tuple(allowed))
+            lifted = relaxation.lifted(self._seed, (_ALLOWED_LIFTED[0], *allowed))
         except InitializationError:
             return None
         if lifted is None:
@@ -151,7 +154,7 @@ class _Branching:
         if pair not in box.arcs:
             if determinant > _UNMIXED and box.arcs:
                 return self._divided(box, self._widest(box), result.poses)
-            if len(box.arcs) == _MAX_PAIRS or pair[0] == pair[1]:
+            if len(box.arcs) == _MAX_PAIRS or not self._is_loose(pair):
                 return None
             middle = self._angle(pair)
             arcs = {**box.arcs, pair: (middle - np.pi, middle + np.pi)}
@@ -194,17 +197,20 @@ class _Branching:
         """Return the relative rotation of a pair at the minimum."""
         return float(self._poses[pair[1], 2] - self._poses[pair[0], 2])
 
-    def _weight(self, pair: Pair) -> float:
-        """Return the stiffness of a relative rotation at the minimum: the inverse variance.
+    def _is_loose(self, pair: Pair) -> bool:
+        """Whether the relative rotation of a pair has a variance at the minimum; keeps it."""
+        rows, columns = self._index[[*pair, pair[0]]], self._index[[*pair, pair[1]]]
+        free = (rows >= 0) & (columns >= 0)
+        blocks = np.zeros(3)
+        blocks[free] = self._equations.inverse(rows[free], columns[free])[:, 2, 2]
+        variance = float(blocks[0] + blocks[1] - 2 * blocks[2])
+        if not variance > _LOST * float(blocks[0] + blocks[1]):
+            return False
+        self._stiffness[pair] = 1 / variance
+        return True
 
-        With it an edge divides what lies between the middle of an arc and the minimum evenly.
-        """
-        if pair not in self._stiffness:
-            rows, columns = self._index[[*pair, pair[0]]], self._index[[*pair, pair[1]]]
-            free = (rows >= 0) & (columns >= 0)
-            blocks = np.zeros(3)
-            blocks[free] = self._equations.inverse(rows[free], columns[free])[:, 2, 2]
-            self._stiffness[pair] = 1 / float(blocks[0] + blocks[1] - 2 * blocks[2])
+    def _weight(self, pair: Pair) -> float:
+        """Return the weight of the edge of a pair: the stiffness of its rotation at the minimum."""
         return self._stiffness[pair]
 
 

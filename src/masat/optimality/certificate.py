@@ -114,8 +114,8 @@ def certify(
     graph : PoseGraph
         A graph with the poses in question.
     search : bool
-        Whether to search for a lower minimum, and for a better bound at a higher rank, where there
-        is no proof: expensive.
+        Whether to search for a lower minimum and for better bounds, at a higher rank and in 2D by
+        branch and bound, where there is no proof: expensive.
     seed : int
         Seed of the random noise that is added when a rank is raised.
     threads : int, optional
@@ -240,6 +240,7 @@ def _certify(
                 bound = max(bound, higher)
                 if lower is not None:
                     best = min(best, minimum(lower), key=lambda result: result.chi2)
+                    bound = max(bound, chi2_bound(best.graph, best.chi2))
     except KeyboardInterrupt:
         progress.interrupt()
         trouble = " (interrupted)"

@@ -220,7 +220,9 @@ def shifted_along(
     """
     graph = part.graph
     by = np.zeros((len(graph.edges), vectors.shape[1]))
-    by[np.searchsorted(part.edges, shifted_edges)] = vectors
+    # An edge between nodes that are both fixed in the part is not in it.
+    inside = np.isin(shifted_edges, part.edges)
+    by[np.searchsorted(part.edges, shifted_edges[inside])] = vectors[inside]
     turned = shifted(graph, by)
     loose = graph if cut is None else without_edges(graph, part.edges == cut)
     return optimize(

@@ -15,7 +15,8 @@ from masat.graph import PoseGraph
 from masat.parts.covers import smallest_cover
 from masat.structure import nested_dissection
 
-# By this fraction a half may be larger than its share. With less of it separators are larger.
+# By this fraction a tree may be larger than the share of its half. With less of it separators are
+# larger.
 _UNEVENNESS = 0.1
 
 
@@ -91,6 +92,7 @@ def dissect_evenly(graph: PoseGraph, parts: int) -> Dissection:
 
     They are subtrees of the elimination tree that nested dissection leads to. A forest of subtrees
     is halved again and again: roots go to the separator until no tree is too large for its half.
+    In graphs of few nodes a part parts may be twice as large as others, or empty.
     Source: Karypis and Kumar, A fast and high quality multilevel scheme for partitioning irregular
     graphs, 1998.
     """

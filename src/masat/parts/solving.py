@@ -186,6 +186,8 @@ def _solve(
     else:
         initial = cost if loss is None else system.chi2_without_loss(poses)
     limits = Termination(max_iterations, relative_tolerance, 0.0, 0.0, rounding())
+    # A cluster that loses workers would compute again what nobody needs.
+    del rounding
 
     def save(reason: StopReason | None) -> None:
         Checkpoint(

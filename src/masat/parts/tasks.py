@@ -60,7 +60,7 @@ class PieceFile(NamedTuple):
 
 
 class Elimination(NamedTuple):
-    """What an elimination depends on, besides the file of the piece and the poses.
+    """What an elimination depends on, besides the file of the piece.
 
     `diagonal` is that of H at the own nodes of a separator, None in a part.
     """
