@@ -170,7 +170,7 @@ def test_no_more_threads_start_than_find_work():
 @pytest.fixture(scope="module")
 def cube():
     """A grid of poses, whose factor has much fill-in."""
-    side = 12
+    side = 15
     index = np.arange(side**3, dtype=np.int32).reshape(side, side, side)
     edges = [
         np.stack([index.take(range(side - 1), axis), index.take(range(1, side), axis)], -1)
