@@ -41,7 +41,7 @@ class PieceFile(NamedTuple):
 
     `memory` are the bytes of the system, `limit` those of all systems that a process may keep.
     `loss` is that of the cost, None for chi2, and `trusted` tells bit by bit to which edges it does
-    not apply. `threads` compute.
+    not apply. `threads` is how many threads compute; a system that is held keeps its own number.
     """
 
     folder: str
