@@ -1,5 +1,7 @@
 """Ways from a minimum to lower ones: only the doubtful parts are lifted and shifted."""
 
+import itertools
+
 import numpy as np
 import pytest
 from random_graphs import random_graph
@@ -13,8 +15,10 @@ from masat.optimality import search as searching
 from masat.optimality.relaxation import Relaxation, lift
 from masat.optimality.search import lower_minimum
 from masat.optimality.subgraphs import connected_parts, neighborhood, subgraph, whole
+from masat.optimality.trials import shifted_along
 from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
+from masat.residuals import residuals
 from masat.study.names import Case
 from masat.study.trial import initial_guess, instance
 
@@ -117,7 +121,7 @@ def counting_lifts(search, monkeypatch):
     """Let lifts find nothing, and return the list of the parts that are lifted."""
     lifted = []
 
-    def in_vain(part):
+    def in_vain(part, above):
         lifted.append(part)
         return masat.optimize(part.graph)
 
@@ -154,9 +158,9 @@ def test_where_most_nodes_are_to_be_lifted_all_are_but_splices_stay_within_their
 
 def test_a_map_is_refuted_where_the_certificate_fails_by_much():
     twisted = two_rings(second_twisted=False)
-    assert Relaxation(twisted).refuted(twisted.poses)
+    assert len(Relaxation(twisted).refuted_nodes(twisted.poses)) > 0
     straight = two_rings(first_twisted=False, second_twisted=False)
-    assert not Relaxation(straight).refuted(straight.poses)
+    assert len(Relaxation(straight).refuted_nodes(straight.poses)) == 0
 
 
 def test_what_a_lift_makes_worse_stays(monkeypatch):
@@ -352,3 +356,52 @@ def test_shifted_edges_between_fixed_nodes_are_left_out(seed):
     )
     near = masat.optimize(graph, relative_tolerance=1e-9).graph
     assert lower_minimum(near).chi2 <= near.chi2 * (1 + 1e-9)
+
+
+def test_ever_more_is_lifted_around_a_refuted_node(monkeypatch):
+    chain = PoseGraph.from_arrays(
+        [(k, k + 1) for k in range(299)], np.zeros((299, 3)), poses=np.zeros((300, 3)), fixed=[0]
+    )
+    search = search_of(chain)
+    lifted = counting_lifts(search, monkeypatch)
+    monkeypatch.setattr(Relaxation, "refuted_nodes", lambda *_: np.array([150], np.int32))
+    assert not search.at_refuted_nodes()
+    assert [np.count_nonzero(part.inside) for part in lifted] == [25, 49, 97, 299]
+    # All nodes of a large graph, or most of them, would take too long.
+    lifted.clear()
+    monkeypatch.setattr(searching, "_MAX_LIFTED_OPERATIONS", 0.0)
+    monkeypatch.setattr(searching, "_REFUTED_REACHES", (12, 100))
+    search = search_of(chain)
+    lifted = counting_lifts(search, monkeypatch)
+    assert not search.at_refuted_nodes()
+    assert [np.count_nonzero(part.inside) for part in lifted] == [25]
+
+
+@pytest.mark.parametrize("rigid", [False, True])
+def test_a_shift_unwinds_a_chain_that_begins_and_ends_at_a_block(rigid):
+    side, length = 22, 40
+    y, x = np.divmod(np.arange(side * side), side)
+    block = np.column_stack([x, y, np.zeros(side * side)])
+    index = np.arange(side * side).reshape(side, side)
+    edges = [*zip(index[:, :-1].ravel(), index[:, 1:].ravel(), strict=True)]
+    edges += zip(index[:-1].ravel(), index[1:].ravel(), strict=True)
+    new = side * side + np.arange(length)
+    chain = np.column_stack(
+        [np.linspace(0, side - 1, length + 2)[1:-1], np.full((2, length), 0.0).T]
+    )
+    chain[:, 1] = -2.0
+    poses = np.concatenate([block, chain])
+    walk = [0, *new, side - 1]
+    edges += itertools.pairwise(walk)
+    ends = np.array(edges)
+    z = masat.lie.between(poses[ends[:, 0]], poses[ends[:, 1]])
+    graph = PoseGraph.from_arrays(ends, z, poses=poses, fixed=[0])
+    wound = poses.copy()
+    wound[new, 2] += 2 * np.pi * np.arange(1, length + 1) / (length + 1)
+    local = masat.optimize(graph.with_poses(wound), "dogleg").graph
+    assert local.chi2 > 0.5
+    last, residual = len(ends) - 1, residuals(local)[-1, 2]
+    by = np.array([[-2 * np.pi * np.sign(residual)]])
+    part = whole(local, local.poses)
+    found = shifted_along(part, 0.0, np.array([last]), by, None, rigid, 1.0)
+    assert found.chi2 < 1e-2

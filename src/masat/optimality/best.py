@@ -14,15 +14,19 @@ from masat.graph import PoseGraph
 from masat.optimality.bounds import looks_global
 from masat.optimality.cycles import AmbiguousCycles, rotation_residuals, rotation_weight
 from masat.optimality.relaxation import Relaxation, lift
-from masat.optimality.search import MAX_LIFTED_BYTES, lower_minimum
+from masat.optimality.search import lower_minimum
 from masat.optimizers import Iteration, Result, optimize
 from masat.optimizers.equations import normal_equations
+from masat.optimizers.projection import ProjectedEquations
 from masat.outliers import cannot_be_right, describe_outliers
 from masat.progress import Progress
 
 # Gauss-Newton that needs more iterations than this is as likely as not to end in a minimum that is
 # wrong in many parts of the graph.
 _FEW_ITERATIONS = 15
+# Operations of a factorization at a higher rank up to which all nodes are lifted first, in 2D: some
+# tenths of a second on one core.
+_CHEAP_LIFT = 1.5e8
 # Changes of chi2 below this fraction are near enough to a minimum for the check and for the search.
 _FIRST_TOLERANCE = 1e-4
 # After so many iterations chi2 of a graph without false edges is no more too large by this factor.
@@ -77,9 +81,9 @@ def best_minimum(
     """Optimize a guess, check whether the minimum looks global, and search on where it does not.
 
     Gauss-Newton leads to a first minimum, or the dogleg method where that takes many iterations, in
-    2D after all nodes have been lifted to a higher rank and rounded back. If the certificate of the
-    chordal cost fails by little, or chi2 itself is certified, the search ends. If not,
-    `lower_minimum` searches around the doubtful parts.
+    2D after all nodes have been lifted to a higher rank and rounded back if that is cheap. If the
+    certificate of the chordal cost fails by little, or chi2 itself is certified, the search ends.
+    If not, `lower_minimum` searches around the doubtful parts.
 
     In 3D the search also takes parts of the minima near other initial guesses, `starts`.
 
@@ -243,21 +247,21 @@ def _first_minimum(
     progress: Progress,
     stop_if_wrong: bool,
 ) -> Result:
-    """Return a minimum near a guess, in 2D with all nodes lifted if few iterations find none."""
-    run = partial(
-        optimize, relative_tolerance=_FIRST_TOLERANCE, equations=equations, progress=progress
-    )
+    """Return a minimum near a guess, in a safer way where few iterations find none."""
+    run = partial(optimize, relative_tolerance=_FIRST_TOLERANCE, progress=progress)
     progress.tell("optimizing the chordal guess")
     watch = None
     if stop_if_wrong:
         watch = _StopIfWrong(guess, equations.chi2(_poses(guess)))
-    quick = run(guess, "gauss_newton", max_iterations=_FEW_ITERATIONS, report=watch)
+    quick = run(
+        guess, "gauss_newton", max_iterations=_FEW_ITERATIONS, report=watch, equations=equations
+    )
     if quick.converged or progress.over or (watch is not None and watch.is_wrong):
         return quick
     start = guess
     try:
         # In 3D it is the search that needs parts of many minima, and lifts all nodes at its end.
-        if guess.dimension == 2 and Relaxation(guess).lifted_bytes() <= MAX_LIFTED_BYTES:
+        if guess.dimension == 2 and Relaxation(guess).lifted_operations() <= _CHEAP_LIFT:
             progress.tell("lifting all nodes")
             start = guess.with_poses(lift(guess, seed=seed))
     except InitializationError:
@@ -266,8 +270,11 @@ def _first_minimum(
     except KeyboardInterrupt:
         progress.interrupt()
         return quick
+    # In 3D projected steps lead to higher minima.
+    own = ProjectedEquations(guess, equations) if guess.dimension == 2 else equations
     # Gauss-Newton may have ended anywhere, even where chi2 is not finite.
-    return min(run(start, "dogleg"), quick, key=lambda minimum: minimum.chi2)
+    safe = run(start, "dogleg", equations=own)
+    return min(safe, quick, key=lambda minimum: minimum.chi2)
 
 
 class _StopIfWrong:

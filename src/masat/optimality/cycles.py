@@ -54,6 +54,8 @@ class Cycle(NamedTuple):
         By how much each node rotates for the least change of all rotations, in radians.
     cost : float
         By how much the shift against the residual changes chi2, if rotations are all there is.
+    stiffness : float
+        The same where all residuals are zero.
     edges : ndarray, (k,)
         Indices of the edges that share the shift alike, in ascending order.
     nodes : ndarray of bool, (n,)
@@ -65,6 +67,7 @@ class Cycle(NamedTuple):
     axis: Floats
     rotations: Floats
     cost: float
+    stiffness: float
     edges: Indices
     nodes: Flags
 
@@ -143,6 +146,7 @@ class AmbiguousCycles:
                 axis[edge],
                 rotations,
                 float(cost[edge]),
+                self._stiffness(edge),
                 np.flatnonzero(own).astype(np.int32),
                 nodes,
             )
@@ -157,7 +161,7 @@ class AmbiguousCycles:
                 taken = one.rotations[i[edge]] - one.rotations[j[edge]]
                 # Half of what the two shifts add to the sum of their costs.
                 joint = _TURN * self._weight[edge] * taken * float(np.dot(one.axis, other.axis))
-                own = self._stiffness(one.edge) * self._stiffness(edge)
+                own = one.stiffness * other.stiffness
                 cost = one.cost + other.cost + 2 * joint
                 long = len(one.edges) >= LONG and len(other.edges) >= LONG
                 if (cost < 0 or long) and abs(joint) > _OVERLAP * own**0.5:
@@ -166,7 +170,7 @@ class AmbiguousCycles:
         return [(one, other) for _, one, other in found]
 
     def _stiffness(self, edge: int) -> float:
-        """Return the chi2 of a shift by 2 pi at an edge where all residuals are zero."""
+        """Return what a shift by 2 pi at an edge costs where all residuals are zero."""
         return float(_TURN**2 * self._weight[edge] * self._kept[edge])
 
     def _cost(self, residual: Floats) -> Floats:

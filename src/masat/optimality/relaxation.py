@@ -135,12 +135,13 @@ class Relaxation:
 
     def can_lift(self) -> bool:
         """Whether memory allows a higher rank."""
-        return self.lifted_bytes() <= _MAX_FACTOR_BYTES
-
-    def lifted_bytes(self) -> int:
-        """Return the size of a factor at the higher rank."""
         size = _core.lifted_block_size(self.graph.dimension, _LIFTED_RANK)
-        return 8 * self.graph.elimination.fill(size)
+        return 8 * self.graph.elimination.fill(size) <= _MAX_FACTOR_BYTES
+
+    def lifted_operations(self) -> float:
+        """Return the operations of a factorization at the higher rank."""
+        size = _core.lifted_block_size(self.graph.dimension, _LIFTED_RANK)
+        return self.graph.elimination.operations(size)
 
     def lift(self, x: Floats, rng: np.random.Generator) -> Floats:
         """Return unknowns of a higher rank, the new columns filled with smooth noise."""
@@ -201,9 +202,9 @@ class Relaxation:
         """Return indices of nodes, one or more wherever the certificate of a minimum fails."""
         return self._free[self._failing(poses, _UNCERTIFIED)]
 
-    def refuted(self, poses: Floats) -> bool:
-        """Whether a minimum looks wrong, without a proof: its certificate fails by much."""
-        return len(self._failing(poses, _REFUTED)) > 0
+    def refuted_nodes(self, poses: Floats) -> Indices:
+        """Return indices of nodes, one or more wherever the certificate fails by much."""
+        return self._free[self._failing(poses, _REFUTED)]
 
     def _failing(self, poses: Floats, fraction: float) -> Indices:
         if len(self._free) == 0:

@@ -42,12 +42,15 @@ _SAME_MINIMUM = 1e-6
 # Edges from a node where the certificate fails, and from an edge of an ambiguous cycle, within
 # which nodes are lifted.
 _NODE_REACH, _EDGE_REACH = 6, 3
+# And those from a node where it fails by much, one after the other.
+_REFUTED_REACHES = (12, 24, 48)
 # A residual that changed by a smaller fraction of itself is the same as before, and so are edges
 # whose chi2 changed by less in all than so many units (`LowestMinimum.unit`).
 _SAME_RESIDUAL, _SAME_CHI2 = 0.02, 0.5
 # Edges of a cycle from which on its residuals depend on the positions as much as on the rotations:
-# a shift either way may pay, and half a turn may lead to another bend with the same winding number.
-_SOFT, _SOFT_TURNS = 10, (1.0, -0.5, 0.5)
+# a shift either way may pay. Where one costs less than so many units of chi2, half a turn may lead
+# to another bend with the same winding number.
+_SOFT, _BENDING = 10, 10.0
 # Cycles tried at the most: the first divided by the number of nodes, but at least the second.
 _CYCLE_WORK, _MIN_CYCLES = 1_000_000, 10
 # Edges from the ends of a string within which nodes are free; strings that may fail one after the
@@ -56,8 +59,10 @@ _STRING_REACH, _MAX_FAILURES, _STRING_TOLERANCE = 6, 40, 1e-5
 # Strings after which chi2 that is nearly as low is optimized no further.
 _FIRST = 10
 _MAX_ROUNDS = 20
-# Bytes of a factor up to which all nodes are lifted at once: some seconds on one core.
-MAX_LIFTED_BYTES = 3e8
+# How near to a minimum nodes are lifted, which mostly leads to another one.
+_FIRST_TOLERANCE = 1e-5
+# Operations of a factorization up to which all nodes are lifted at once: a second on one core.
+_MAX_LIFTED_OPERATIONS = 1e9
 # Iterations of Gauss-Newton to the exact minimum, and of the safer and slower dogleg.
 _FINAL_ITERATIONS, _FINAL_DOGLEG_ITERATIONS = 4, 100
 
@@ -76,7 +81,7 @@ def lower_minimum(
     certificate fails and around the edges of ambiguous cycles, each connected part by itself, as
     long as that lowers chi2. Then each ambiguous cycle (`cycles.py`) is shifted by 2 pi against its
     residual, a soft one the other way and by half a turn, too; in 3D the nodes around it are also
-    lifted. At last all nodes are lifted, if much is still wrong. Each trial that lowers chi2 is
+    lifted. At last many nodes are lifted, if much is still wrong. Each trial that lowers chi2 is
     kept at once; after a round with such a trial another round begins.
 
     Parameters
@@ -112,11 +117,13 @@ def lower_minimum(
         for _ in range(_MAX_ROUNDS):
             lower = search.at_differences(search.others)
             lower = lower or (graph.dimension == 3 and search.at_strings())
-            lower = lower or search.at_uncertified_nodes() or search.at_cycles()
-            lower = lower or search.at_all_nodes()
+            lower = lower or search.at_uncertified_nodes()
+            if not lower and not progress.over:
+                search.lowest.converge()
+                lower = search.at_cycles() or search.at_refuted_nodes()
             if progress.over or not lower:
                 break
-            search.lowest.converge()
+            search.lowest.converge(_FIRST_TOLERANCE)
     except KeyboardInterrupt:
         progress.interrupt()
     found = graph.with_poses(search.poses)
@@ -138,7 +145,7 @@ class _Search:
         progress: Progress,
         equations: _core.NormalEquations,
     ) -> None:
-        self.lowest = LowestMinimum(graph, progress, equations)
+        self.lowest = LowestMinimum(graph, progress, equations, _FIRST_TOLERANCE)
         # Poses at other minima, whose parts are tried after each round.
         self.others: Sequence[OtherMinimum] = ()
         self._graph = graph
@@ -185,7 +192,9 @@ class _Search:
         soft = [cycle for cycle in cycles if len(cycle.edges) >= _SOFT]
         moves = [[(cycle, 0.0)] for cycle in long]
         moves += [[(cycle, -1.0)] for cycle in cycles]
-        moves += [[(cycle, turns)] for cycle in soft for turns in _SOFT_TURNS]
+        moves += [[(cycle, 1.0)] for cycle in soft]
+        bending = [cycle for cycle in soft if cycle.stiffness < _BENDING * self.lowest.unit]
+        moves += [[(cycle, turns)] for cycle in bending for turns in (-0.5, 0.5)]
         for one, other in self._cycles.pairs(cycles):
             moves.append([(one, -1.0), (other, -1.0)])
             if len(one.edges) >= LONG and len(other.edges) >= LONG:
@@ -212,7 +221,9 @@ class _Search:
             cuts = [None, *(cut_edges(shifts[0][0]) if shifts[0][1] == 0 else ())]
             own = np.array([cycle.edge for cycle, _ in shifts])
             by = np.array([2 * np.pi * turns * cycle.axis for cycle, turns in shifts])
-            trials: list[Trial] = [self._shift(own, by, cut) for cut in cuts]
+            # A long cycle bends all along.
+            rigid = all(len(cycle.edges) < LONG for cycle, _ in shifts)
+            trials: list[Trial] = [self._shift(own, by, cut, rigid) for cut in cuts]
             if any(self.lowest.attempt(where, trial) for trial in trials) or (
                 self._graph.dimension == 3 and self._lift_if_new(where)
             ):
@@ -227,7 +238,7 @@ class _Search:
         It is done unless they were all free in a lift in vain and chi2 around them is as then.
         Where most nodes are to be lifted, all are, if memory allows it.
         """
-        widen = self._relaxation.lifted_bytes() <= MAX_LIFTED_BYTES
+        widen = self._lifts_cheaply
         if widen and np.count_nonzero(nodes) > len(nodes) / 2:
             nodes = np.ones(len(nodes), np.bool_)
             nodes[self._graph.index(self._graph.gauge)] = False
@@ -257,7 +268,7 @@ class _Search:
                 ends = np.zeros(len(self.poses), np.bool_)
                 ends[self._graph.edge_indices[string.edges]] = True
                 where = neighborhood(self._graph, ends, _STRING_REACH)
-                trial = self._shift(string.edges, string.vectors, None)
+                trial = self._shift(string.edges, string.vectors)
                 if self.lowest.attempt(where, trial, NEARLY if failures < _FIRST else 0.0):
                     self.lowest.converge(_STRING_TOLERANCE)
                     failures = 0
@@ -301,21 +312,34 @@ class _Search:
         for other in others:
             self._progress.tell("taking the better parts of two minima", self.chi2)
             for part in other.parts(self._graph, self.poses):
-                trial = partial(spliced_in, other=other.poses, nearly=self._nearly)
+                trial = partial(spliced_in, other=other.poses)
                 if not self.lowest.attempt(part, trial, widen=False):
                     other.refuse(part, self._graph, self.poses)
         return self.chi2 < first * (1 - LOWER)
 
-    def at_all_nodes(self) -> bool:
-        """Lift all nodes if much is still wrong; return whether that lowered chi2.
+    def at_refuted_nodes(self) -> bool:
+        """Lift ever more of what is around refuted nodes; return whether that lowered chi2.
 
         Parts of the graph that are each at their own minimum may be wrong together.
         """
-        small = self._relaxation.lifted_bytes() <= MAX_LIFTED_BYTES
-        if not small or self._progress.over or not self._relaxation.refuted(self.poses):
+        graph = self._graph
+        nodes = np.zeros(len(self.poses), np.bool_)
+        nodes[self._relaxation.refuted_nodes(self.poses)] = True
+        if not nodes.any():
             return False
-        self._progress.tell("lifting all nodes", self.chi2)
-        return self._lift_if_new(np.ones(len(self.poses), np.bool_))
+        for reach in _REFUTED_REACHES:
+            around = neighborhood(graph, nodes, reach)
+            around[graph.index(graph.gauge)] = False
+            self._progress.tell("lifting many nodes", self.chi2)
+            for part in connected_parts(graph, around):
+                most = np.count_nonzero(part) > len(part) / 2
+                if (self._lifts_cheaply or not most) and self._lift_if_new(part):
+                    return True
+        return self._lifts_cheaply and self._lift_if_new(np.ones_like(nodes))
+
+    @property
+    def _lifts_cheaply(self) -> bool:
+        return self._relaxation.lifted_operations() <= _MAX_LIFTED_OPERATIONS
 
     def _relative(self, cycle: Cycle) -> Floats:
         """Return the rotations of a cycle's nodes; few of them if only the gauge is fixed."""
@@ -325,18 +349,17 @@ class _Search:
             return relative_to_mean(cycle.rotations, labels == label)
         return cycle.rotations
 
-    @property
-    def _nearly(self) -> float:
-        return NEARLY * self.lowest.unit
+    def _lift(self, part: Subgraph, above: float) -> Result:
+        return lifted(part, above, self._seed)
 
-    def _lift(self, part: Subgraph) -> Result:
-        return lifted(part, self._seed, self._nearly)
-
-    def _shift(self, edges: Indices, vectors: Floats, cut: int | None) -> Trial:
+    def _shift(
+        self, edges: Indices, vectors: Floats, cut: int | None = None, rigid: bool = False
+    ) -> Trial:
         return partial(
             shifted_along,
             shifted_edges=edges,
             vectors=vectors,
             cut=cut,
-            nearly=self._nearly,
+            rigid=rigid,
+            unit=self.lowest.unit,
         )

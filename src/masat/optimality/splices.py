@@ -21,6 +21,8 @@ _REACH = 2
 
 # Radians and meters: poses that changed by less are the same as before.
 _SAME_POSE = 0.01
+# Radians: where no node has rotated by more, an optimizer is back at a minimum in 2D.
+_SAME_ROTATION = 0.05
 
 
 class OtherMinimum:
@@ -75,6 +77,17 @@ class OtherMinimum:
 def same_poses(some: Floats, others: Floats) -> bool:
     """Return whether poses are the same but for what optimizers leave and rounding makes."""
     return bool(np.abs(lie.local(some, others)).max() < _SAME_POSE)
+
+
+def same_minimum(some: Floats, others: Floats) -> bool:
+    """Return whether poses, (n, 3) or (n, 7), lead to the same minimum.
+
+    In 2D the rotations tell: given them, the translations have one minimum. In 3D there are minima
+    whose rotations hardly differ.
+    """
+    if some.shape[1] != 3:
+        return same_poses(some, others)
+    return bool(np.abs(lie.local(some, others)[:, 2]).max() < _SAME_ROTATION)
 
 
 def _key(part: Flags) -> bytes:

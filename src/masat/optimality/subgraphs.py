@@ -25,12 +25,15 @@ class Subgraph(NamedTuple):
         The indices of its edges there, in ascending order.
     inside : ndarray of bool, (k,)
         Which nodes are free.
+    equations : NormalEquations or None
+        Those of `graph`, where they are known.
     """
 
     graph: PoseGraph
     nodes: Ids
     edges: Ids
     inside: Flags
+    equations: _core.NormalEquations | None = None
 
 
 def neighborhood(graph: PoseGraph, nodes: Flags, steps: int = 1) -> Flags:
@@ -65,13 +68,15 @@ def subgraph(graph: PoseGraph, poses: Floats, inside: Flags) -> Subgraph:
     )
 
 
-def whole(graph: PoseGraph, poses: Floats) -> Subgraph:
+def whole(
+    graph: PoseGraph, poses: Floats, equations: _core.NormalEquations | None = None
+) -> Subgraph:
     """Return the whole graph at some poses, with its gauge fixed."""
     inside = np.ones(len(poses), np.bool_)
     inside[graph.index(graph.gauge)] = False
     nodes = np.arange(len(poses), dtype=np.int64)
     edges = np.arange(len(graph.edges), dtype=np.int64)
-    return Subgraph(graph.with_poses(poses), nodes, edges, inside)
+    return Subgraph(graph.with_poses(poses), nodes, edges, inside, equations)
 
 
 def without_edges(graph: PoseGraph, edges: Flags) -> PoseGraph:

@@ -3,31 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 
 from masat import _core, lie
-from masat.arrays import Flags, Floats, Indices
+from masat.arrays import AnyArray, Flags, Floats, Indices
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
+from masat.optimality.bodies import rigid_bodies
 from masat.optimality.cycles import shifted
 from masat.optimality.relaxation import lift
-from masat.optimality.splices import same_poses, spliced
+from masat.optimality.splices import same_minimum, spliced
 from masat.optimality.subgraphs import Subgraph, subgraph, whole, without_edges
 from masat.optimizers import Iteration, Result, optimize
+from masat.optimizers.equations import normal_equations
+from masat.optimizers.projection import ProjectedEquations
 from masat.optimizers.translations import solve_translations
 from masat.progress import Progress
 
 # chi2 that is lower by this fraction belongs to another minimum; near a minimum it changes by less
 # than the second fraction from one iteration to the next.
 LOWER, NEAR = 1e-7, 1e-8
-# chi2 above the minimum up to which a trial is optimized further with all nodes free.
-NEARLY = 5.0
+# Units of chi2 above the minimum up to which a trial is optimized further with all nodes free; and
+# the change of chi2, in units, at which it is near enough to its own minimum.
+NEARLY, _ACCURACY = 5.0, 0.01
 # Iterations of a trial after a shift, after a lift, and with all nodes free. A trial ends where the
 # steps that are left, if they were all like the last one, would not lower chi2 enough.
 _SHIFT_ITERATIONS, _LIFT_ITERATIONS, _FREE_ITERATIONS = 30, 50, 50
+# Nodes of a part from which on rigid bodies are shifted first; the bend of an edge, as a fraction
+# of the largest, below which it is stiff; and units of chi2 that stiff edges may give way by.
+_MANY_NODES, _STIFF, _YIELD = 500, 0.15, 80.0
+# Iterations of the bodies, of Gauss-Newton then, and of the dogleg method at last.
+_BODY_ITERATIONS, _BENT_ITERATIONS, _LAST_ITERATIONS = 60, 3, 20
+# A step that takes off less than one in so many units that are missing is the last one.
+_NEXT_GAIN = 3.0
 
-Trial = Callable[[Subgraph], Result]
+Trial: TypeAlias = Callable[[Subgraph, float], Result]
+"""Optimizes a part from elsewhere, given how far above its chi2 the end may be to be of use."""
 
 
 class LowestMinimum:
@@ -41,6 +54,8 @@ class LowestMinimum:
         What limits the time.
     equations : NormalEquations
         Those of the graph.
+    tolerance : float
+        How near to the minimum it goes at first, as a fraction of chi2.
 
     Attributes
     ----------
@@ -60,13 +75,17 @@ class LowestMinimum:
     """
 
     def __init__(
-        self, graph: PoseGraph, progress: Progress, equations: _core.NormalEquations
+        self,
+        graph: PoseGraph,
+        progress: Progress,
+        equations: _core.NormalEquations,
+        tolerance: float = NEAR,
     ) -> None:
         if graph.poses is None:
             raise OptimizationError("the graph has no poses: there is no minimum to begin at")
         self.poses = graph.poses
         self._graph, self._progress, self._equations = graph, progress, equations
-        self.unit = min(1.0, self.converge().reduced_chi2 or 1.0)
+        self.unit = min(1.0, self.converge(tolerance).reduced_chi2 or 1.0)
         gauge = graph.index(graph.gauge)
         labels = graph.components
         count = np.bincount(labels[gauge], minlength=int(labels.max()) + 1)
@@ -92,7 +111,8 @@ class LowestMinimum:
         trial : callable
             Returns the result of an optimizer on the subgraph of these nodes.
         nearly : float
-            How many units of chi2 above the minimum are optimized further with all nodes free.
+            How many units of chi2 above the minimum are optimized further with all nodes free, if
+            they were not.
         widen : bool
             Whether all nodes are free where most are: the order of elimination of the whole graph
             is known, that of a large part is not.
@@ -103,9 +123,12 @@ class LowestMinimum:
         if self._progress.over or not nodes.any():
             return False
         widened = widen and np.count_nonzero(nodes) > len(nodes) / 2
-        part = whole(graph, before) if widened else subgraph(graph, before, nodes)
+        if widened:
+            part, nearly = whole(graph, before, self._equations), 0.0
+        else:
+            part = subgraph(graph, before, nodes)
         try:
-            result = trial(part)
+            result = trial(part, nearly * self.unit)
         except (InitializationError, OptimizationError):
             # A part may be too badly conditioned for what the whole graph can bear.
             return False
@@ -114,7 +137,7 @@ class LowestMinimum:
         indices = part.nodes[part.inside]
         poses = before.copy()
         poses[indices] = result.poses[part.inside]
-        if same_poses(before[indices], poses[indices]):
+        if same_minimum(before[indices], poses[indices]):
             return False
         if not widened:
             self._put_back(poses, nodes)
@@ -122,7 +145,7 @@ class LowestMinimum:
         lower = self.chi2 * (1 - LOWER)
         if lower <= chi2 < self.chi2 + nearly * self.unit:
             # Nearly as low: with all nodes free it may become lower.
-            free = self._minimum(poses, _StopIfHopeless(lower, _FREE_ITERATIONS, chi2))
+            free = self._minimum(poses, _StopIfFar(lower, chi2))
             poses, chi2 = free.poses, free.chi2
         if chi2 < lower:
             self.poses, self.chi2 = poses, chi2
@@ -139,7 +162,7 @@ class LowestMinimum:
             poses[k] = self.poses[k]
 
     def _minimum(
-        self, poses: Floats, report: _StopIfHopeless | None = None, tolerance: float = NEAR
+        self, poses: Floats, report: _StopIfFar | None = None, tolerance: float = NEAR
     ) -> Result:
         """Return the minimum that an optimizer finds from some poses."""
         return optimize(
@@ -153,55 +176,44 @@ class LowestMinimum:
         )
 
 
-def lifted(part: Subgraph, seed: int, nearly: float) -> Result:
+def lifted(part: Subgraph, above: float, seed: int) -> Result:
     """Lift the free nodes of a part to a higher rank, round them back and optimize them.
 
     Parameters
     ----------
     part : Subgraph
         The part.
+    above : float
+        As of `Trial`.
     seed : int
         Seed of the random noise that is added when a rank is raised.
-    nearly : float
-        How far above the part's chi2 a trial may end and still be worth going on with, here and in
-        the trials below.
     """
     initial = part.graph.with_poses(lift(part.graph, seed=seed))
-    low_enough = part.graph.chi2 + nearly
     # Rounded poses lie between minima: in 3D one method may end in a lower one than the other.
     methods = ("dogleg",) if part.graph.dimension == 2 else ("dogleg", "levenberg_marquardt")
     return min(
         (
-            optimize(
-                initial,
-                method,
-                relative_tolerance=NEAR,
-                max_iterations=_LIFT_ITERATIONS,
-                report=_StopIfHopeless(low_enough, _LIFT_ITERATIONS),
-            )
+            _optimized(part, initial, above, _LIFT_ITERATIONS, method, relative_tolerance=NEAR)
             for method in methods
         ),
         key=lambda result: result.chi2,
     )
 
 
-def spliced_in(part: Subgraph, other: Floats, nearly: float) -> Result:
+def spliced_in(part: Subgraph, above: float, other: Floats) -> Result:
     """Optimize a part from the poses, (n, 3) or (n, 7), of another minimum of the whole graph."""
-    return optimize(
-        part.graph.with_poses(spliced(part, other)),
-        "dogleg",
-        relative_tolerance=NEAR,
-        max_iterations=_SHIFT_ITERATIONS,
-        report=_StopIfHopeless(part.graph.chi2 + nearly, _SHIFT_ITERATIONS),
-    )
+    initial = part.graph.with_poses(spliced(part, other))
+    return _optimized(part, initial, above, _SHIFT_ITERATIONS, relative_tolerance=NEAR)
 
 
 def shifted_along(
     part: Subgraph,
+    above: float,
     shifted_edges: Indices,
     vectors: Floats,
     cut: int | None,
-    nearly: float,
+    rigid: bool,
+    unit: float,
 ) -> Result:
     """Spread residuals and shifts anew, the positions first without an edge that is cut.
 
@@ -209,14 +221,18 @@ def shifted_along(
     ----------
     part : Subgraph
         The part.
+    above : float
+        As of `Trial`.
     shifted_edges : ndarray of int, (k,)
         Indices of the edges, in the whole graph, whose rotation residuals are shifted.
     vectors : ndarray, (k, 1) or (k, 3)
         By how much, as rotation vectors in radians.
     cut : int, optional
         Index of the edge that is cut.
-    nearly : float
-        As of `lifted`.
+    rigid : bool
+        Whether rigid bodies take the place of what hardly bends, at first, if the part is large.
+    unit : float
+        What counts as one in chi2.
     """
     graph = part.graph
     by = np.zeros((len(graph.edges), vectors.shape[1]))
@@ -224,13 +240,95 @@ def shifted_along(
     inside = np.isin(shifted_edges, part.edges)
     by[np.searchsorted(part.edges, shifted_edges[inside])] = vectors[inside]
     turned = shifted(graph, by)
+    if rigid and len(graph.ids) >= _MANY_NODES:
+        return _bent(part, turned, np.flatnonzero(by.any(axis=1)), above, unit)
     loose = graph if cut is None else without_edges(graph, part.edges == cut)
-    return optimize(
-        graph.with_poses(solve_translations(loose, turned)),
+    initial = graph.with_poses(solve_translations(loose, turned))
+    tolerance = _ACCURACY * unit
+    return _optimized(
+        part,
+        initial,
+        above,
+        _SHIFT_ITERATIONS,
+        relative_tolerance=0.0,
+        absolute_tolerance=tolerance,
+    )
+
+
+def _bent(
+    part: Subgraph, turned: Floats, shifted_edges: AnyArray, above: float, unit: float
+) -> Result:
+    """Optimize a part from elsewhere, first with what hardly bends there as rigid bodies."""
+    graph = part.graph
+    assert graph.poses is not None
+    i, j = graph.edge_indices.T
+    was, is_now = lie.between(graph.poses[i], graph.poses[j]), lie.between(turned[i], turned[j])
+    bend = np.abs(lie.local(was, is_now)[:, graph.dimension :]).max(axis=1)
+    bend[shifted_edges] = 0.0
+    stiff = bend < _STIFF * bend.max()
+    stiff[shifted_edges] = False
+    bodies = rigid_bodies(graph, stiff)
+    initial = solve_translations(bodies.graph, bodies.moved(turned))
+    low_enough = bodies.graph.chi2 + above + _YIELD * unit
+    rigid = optimize(
+        bodies.graph.with_poses(initial),
         "dogleg",
-        max_iterations=_SHIFT_ITERATIONS,
-        absolute_tolerance=nearly / 500,
-        report=_StopIfHopeless(graph.chi2 + nearly, _SHIFT_ITERATIONS),
+        max_iterations=_BODY_ITERATIONS,
+        absolute_tolerance=unit,
+        report=_StopIfHopeless(low_enough, _BODY_ITERATIONS),
+        equations=ProjectedEquations(bodies.graph, normal_equations(bodies.graph)),
+    )
+    poses = bodies.expanded(rigid.poses)
+    bent = graph.with_poses(poses)
+    hopeless = rigid.chi2 > low_enough or same_minimum(graph.poses, poses)
+    watch = _StopIfFar(graph.chi2 + above, bent.chi2)
+    near = optimize(
+        bent,
+        "gauss_newton",
+        max_iterations=0 if hopeless else _BENT_ITERATIONS,
+        report=watch,
+        equations=part.equations,
+    )
+    if hopeless or watch.is_far:
+        return near
+    return _optimized(
+        part,
+        near.graph,
+        above,
+        _LAST_ITERATIONS,
+        absolute_tolerance=_ACCURACY * unit,
+        chi2=near.chi2,
+        projected=True,
+    )
+
+
+def _optimized(
+    part: Subgraph,
+    initial: PoseGraph,
+    above: float,
+    iterations: int,
+    method: str = "dogleg",
+    *,
+    relative_tolerance: float = 1e-9,
+    absolute_tolerance: float = 0.0,
+    chi2: float = np.inf,
+    projected: bool = False,
+) -> Result:
+    """Optimize a part from elsewhere, until it is back where it was or cannot become low enough."""
+    assert part.graph.poses is not None
+    # In 3D an optimizer that is back where it was may still lead to a minimum nearby.
+    home = part.graph.poses if part.graph.dimension == 2 else None
+    stop = _StopIfHopeless(part.graph.chi2 + above, iterations, chi2, home)
+    equations = part.equations or normal_equations(part.graph)
+    return optimize(
+        initial,
+        method,
+        max_iterations=max(iterations, _SHIFT_ITERATIONS),
+        report=stop,
+        report_poses=stop.look,
+        equations=ProjectedEquations(part.graph, equations) if projected else equations,
+        relative_tolerance=relative_tolerance,
+        absolute_tolerance=absolute_tolerance,
     )
 
 
@@ -238,12 +336,23 @@ class _StopIfHopeless:
     """Stops an optimizer where the steps that are left would not bring chi2 low enough.
 
     A step may gain less than it could while the region of trust adapts: half of what was expected
-    before the step counts in its place.
+    before the step counts in its place. Poses that are back home, as they were, stop it, too.
     """
 
-    def __init__(self, low_enough: float, iterations: int, chi2: float = np.inf) -> None:
+    def __init__(
+        self,
+        low_enough: float,
+        iterations: int,
+        chi2: float = np.inf,
+        home: Floats | None = None,
+    ) -> None:
         self._low_enough, self._left, self._last = low_enough, iterations, chi2
         self._expected = 0.0
+        self._home, self._is_home = home, False
+
+    def look(self, poses: Floats) -> None:
+        """Look whether poses are back home."""
+        self._is_home = self._home is not None and same_minimum(self._home, poses)
 
     def __call__(self, step: Iteration) -> bool:
         """Return whether to stop after an iteration."""
@@ -251,4 +360,21 @@ class _StopIfHopeless:
         gained, self._last = self._last - step.chi2, step.chi2
         self._expected = max(min(gained, missing), self._expected / 2)
         self._left -= 1
-        return missing > self._left * self._expected
+        return self._is_home or missing > self._left * self._expected
+
+
+class _StopIfFar:
+    """Stops Gauss-Newton after a step that gains little of what is missing.
+
+    A step that gains anything is so good that the next ones gain much less.
+    """
+
+    def __init__(self, low_enough: float, chi2: float) -> None:
+        self._low_enough, self._last = low_enough, chi2
+        self.is_far = False
+
+    def __call__(self, step: Iteration) -> bool:
+        """Return whether to stop after an iteration."""
+        gained, self._last = self._last - step.chi2, step.chi2
+        self.is_far = gained >= 0 and step.chi2 - self._low_enough > _NEXT_GAIN * gained
+        return self.is_far

@@ -84,7 +84,7 @@ def optimize(
     report: Report | None = None,
     report_poses: ReportPoses | None = None,
     progress: Progress | None = None,
-    equations: _core.NormalEquations | None = None,
+    equations: Equations | None = None,
 ) -> Result:
     """Minimize chi2, the sum of e' W e over all measurements, over the poses of the free nodes.
 
@@ -130,7 +130,7 @@ def optimize(
         guess, and then those after each iteration.
     progress : Progress, optional
         What limits the time, and decides what Ctrl-C does.
-    equations : NormalEquations, optional
+    equations : Equations, optional
         Those of a graph that differs in its poses alone, to be used again.
 
     Returns
@@ -236,6 +236,8 @@ def optimize(
 
     if robust is None:
         outcome = minimize(equations, graph.poses, termination)
+    elif not isinstance(equations, _core.NormalEquations):
+        raise OptimizationError("with a loss, equations must be a graph's normal equations")
     elif robust.name == GNC_TLS:
         outcome = graduated_truncation(graph, equations, robust, termination, minimize)
     else:
