@@ -358,23 +358,33 @@ def test_shifted_edges_between_fixed_nodes_are_left_out(seed):
     assert lower_minimum(near).chi2 <= near.chi2 * (1 + 1e-9)
 
 
-def test_ever_more_is_lifted_around_a_refuted_node(monkeypatch):
+@pytest.mark.parametrize("cheap", [False, True])
+def test_ever_more_is_lifted_around_a_refuted_node(monkeypatch, cheap):
     chain = PoseGraph.from_arrays(
         [(k, k + 1) for k in range(299)], np.zeros((299, 3)), poses=np.zeros((300, 3)), fixed=[0]
     )
     search = search_of(chain)
     lifted = counting_lifts(search, monkeypatch)
+    limit = np.inf if cheap else 0.0
+    monkeypatch.setattr(searching, "_MAX_LIFTED_OPERATIONS", limit)
+    monkeypatch.setattr(Relaxation, "uncertified_nodes", lambda *_: np.array([50, 150], np.int32))
     monkeypatch.setattr(Relaxation, "refuted_nodes", lambda *_: np.array([150], np.int32))
-    assert not search.at_refuted_nodes()
-    assert [np.count_nonzero(part.inside) for part in lifted] == [25, 49, 97, 299]
-    # All nodes of a large graph, or most of them, would take too long.
-    lifted.clear()
-    monkeypatch.setattr(searching, "_MAX_LIFTED_OPERATIONS", 0.0)
-    monkeypatch.setattr(searching, "_REFUTED_REACHES", (12, 100))
+    assert not search.at_wider_parts()
+    sizes = [np.count_nonzero(part.inside) for part in lifted]
+    # The first around both nodes; that of 12 edges around the refuted one has been lifted already.
+    assert sizes == [25, 25, 49, 97, *([299] if cheap else [])]
+
+
+def test_no_large_part_is_lifted_around_a_node_that_is_only_uncertified(monkeypatch):
+    chain = PoseGraph.from_arrays(
+        [(k, k + 1) for k in range(99)], np.zeros((99, 3)), poses=np.zeros((100, 3)), fixed=[0]
+    )
     search = search_of(chain)
     lifted = counting_lifts(search, monkeypatch)
-    assert not search.at_refuted_nodes()
-    assert [np.count_nonzero(part.inside) for part in lifted] == [25]
+    monkeypatch.setattr(Relaxation, "uncertified_nodes", lambda *_: np.array([50], np.int32))
+    monkeypatch.setattr(Relaxation, "refuted_nodes", lambda *_: np.zeros(0, np.int32))
+    assert not search.at_wider_parts()
+    assert lifted == []
 
 
 @pytest.mark.parametrize("rigid", [False, True])

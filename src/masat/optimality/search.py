@@ -42,8 +42,10 @@ _SAME_MINIMUM = 1e-6
 # Edges from a node where the certificate fails, and from an edge of an ambiguous cycle, within
 # which nodes are lifted.
 _NODE_REACH, _EDGE_REACH = 6, 3
-# And those from a node where it fails by much, one after the other.
-_REFUTED_REACHES = (12, 24, 48)
+# Those within which they are lifted at last, around all such nodes and around those where it fails
+# by much, one after the other; and the fractions of all nodes that a part may be then.
+_WIDER_REACH, _REFUTED_REACHES = 12, (12, 24, 48)
+_LITTLE, _MUCH = 0.2, 0.5
 # A residual that changed by a smaller fraction of itself is the same as before, and so are edges
 # whose chi2 changed by less in all than so many units (`LowestMinimum.unit`).
 _SAME_RESIDUAL, _SAME_CHI2 = 0.02, 0.5
@@ -81,7 +83,7 @@ def lower_minimum(
     certificate fails and around the edges of ambiguous cycles, each connected part by itself, as
     long as that lowers chi2. Then each ambiguous cycle (`cycles.py`) is shifted by 2 pi against its
     residual, a soft one the other way and by half a turn, too; in 3D the nodes around it are also
-    lifted. At last many nodes are lifted, if much is still wrong. Each trial that lowers chi2 is
+    lifted. At last wider parts are lifted. Each trial that lowers chi2 is
     kept at once; after a round with such a trial another round begins.
 
     Parameters
@@ -120,7 +122,7 @@ def lower_minimum(
             lower = lower or search.at_uncertified_nodes()
             if not lower and not progress.over:
                 search.lowest.converge()
-                lower = search.at_cycles() or search.at_refuted_nodes()
+                lower = search.at_cycles() or search.at_wider_parts()
             if progress.over or not lower:
                 break
             search.lowest.converge(_FIRST_TOLERANCE)
@@ -317,25 +319,33 @@ class _Search:
                     other.refuse(part, self._graph, self.poses)
         return self.chi2 < first * (1 - LOWER)
 
-    def at_refuted_nodes(self) -> bool:
-        """Lift ever more of what is around refuted nodes; return whether that lowered chi2.
+    def at_wider_parts(self) -> bool:
+        """Lift more of what is around uncertified nodes; return whether that lowered chi2.
 
-        Parts of the graph that are each at their own minimum may be wrong together.
+        Parts of the graph that are each at their own minimum may be wrong together. Around refuted
+        nodes ever more is lifted, around others as long as it is little.
         """
-        graph = self._graph
-        nodes = np.zeros(len(self.poses), np.bool_)
-        nodes[self._relaxation.refuted_nodes(self.poses)] = True
-        if not nodes.any():
+        uncertified = self._relaxation.uncertified_nodes(self.poses)
+        refuted = self._relaxation.refuted_nodes(self.poses)
+        stages = [(uncertified, _WIDER_REACH, _LITTLE)]
+        stages += [(refuted, reach, _MUCH) for reach in _REFUTED_REACHES]
+        for centers, reach, most in stages:
+            nodes = np.zeros(len(self.poses), np.bool_)
+            nodes[centers] = True
+            around = neighborhood(self._graph, nodes, reach)
+            around[self._graph.index(self._graph.gauge)] = False
+            self._progress.tell("searching in wider parts", self.chi2)
+            parts = [
+                part
+                for part in connected_parts(self._graph, around)
+                if np.count_nonzero(part) <= most * len(part)
+            ]
+            if sum(self._lift_if_new(part) for part in parts) > 0:
+                return True
+        if len(refuted) == 0 or not self._lifts_cheaply:
             return False
-        for reach in _REFUTED_REACHES:
-            around = neighborhood(graph, nodes, reach)
-            around[graph.index(graph.gauge)] = False
-            self._progress.tell("lifting many nodes", self.chi2)
-            for part in connected_parts(graph, around):
-                most = np.count_nonzero(part) > len(part) / 2
-                if (self._lifts_cheaply or not most) and self._lift_if_new(part):
-                    return True
-        return self._lifts_cheaply and self._lift_if_new(np.ones_like(nodes))
+        self._progress.tell("lifting all nodes", self.chi2)
+        return self._lift_if_new(np.ones(len(self.poses), np.bool_))
 
     @property
     def _lifts_cheaply(self) -> bool:
