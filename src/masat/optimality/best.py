@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
@@ -16,14 +17,17 @@ from masat.optimality.cycles import AmbiguousCycles, rotation_residuals, rotatio
 from masat.optimality.relaxation import Relaxation, lift
 from masat.optimality.search import lower_minimum
 from masat.optimizers import Iteration, Result, optimize
-from masat.optimizers.equations import normal_equations
+from masat.optimizers.equations import Equations, normal_equations
 from masat.optimizers.projection import ProjectedEquations
+from masat.optimizers.translations import BestTranslations
 from masat.outliers import cannot_be_right, describe_outliers
 from masat.progress import Progress
 
 # Gauss-Newton that needs more iterations than this is as likely as not to end in a minimum that is
 # wrong in many parts of the graph.
 _FEW_ITERATIONS = 15
+# So is one whose chi2 rises so often; the first steps from the chordal guess mostly go too far.
+_MOST_RISES = 2
 # Operations of a factorization at a higher rank up to which all nodes are lifted first, in 2D: some
 # tenths of a second on one core.
 _CHEAP_LIFT = 1.5e8
@@ -250,13 +254,11 @@ def _first_minimum(
     """Return a minimum near a guess, in a safer way where few iterations find none."""
     run = partial(optimize, relative_tolerance=_FIRST_TOLERANCE, progress=progress)
     progress.tell("optimizing the chordal guess")
-    watch = None
-    if stop_if_wrong:
-        watch = _StopIfWrong(guess, equations.chi2(_poses(guess)))
+    watch = _Watch(guess, equations.chi2(_poses(guess)), stop_if_wrong)
     quick = run(
         guess, "gauss_newton", max_iterations=_FEW_ITERATIONS, report=watch, equations=equations
     )
-    if quick.converged or progress.over or (watch is not None and watch.is_wrong):
+    if quick.converged or progress.over or watch.is_wrong:
         return quick
     start = guess
     try:
@@ -271,23 +273,29 @@ def _first_minimum(
         progress.interrupt()
         return quick
     # In 3D projected steps lead to higher minima.
-    own = ProjectedEquations(guess, equations) if guess.dimension == 2 else equations
+    own: Equations = equations
+    if guess.dimension == 2:
+        with suppress(InitializationError):
+            own = ProjectedEquations(equations, BestTranslations(guess))
     # Gauss-Newton may have ended anywhere, even where chi2 is not finite.
     safe = run(start, "dogleg", equations=own)
     return min(safe, quick, key=lambda minimum: minimum.chi2)
 
 
-class _StopIfWrong:
-    """Stops an optimizer after a few iterations if the map cannot become right."""
+class _Watch:
+    """Stops Gauss-Newton where it rises again, or where the map cannot become right."""
 
-    def __init__(self, graph: PoseGraph, chi2: float) -> None:
-        self._graph, self._lowest, self._iterations = graph, chi2, 0
+    def __init__(self, graph: PoseGraph, chi2: float, stop_if_wrong: bool) -> None:
+        self._graph, self._lowest, self._last, self._iterations = graph, chi2, chi2, 0
+        self._rises, self._judges = 0, stop_if_wrong
         self.is_wrong = False
 
     def __call__(self, step: Iteration) -> bool:
         """Return whether to stop after an iteration."""
         self._iterations += 1
-        self._lowest = min(self._lowest, step.chi2)
-        if self._iterations == _PATIENCE:
+        # Not less than or equal: what is not a number rises, too.
+        self._rises += not step.chi2 <= self._last
+        self._last, self._lowest = step.chi2, min(self._lowest, step.chi2)
+        if self._judges and self._iterations == _PATIENCE:
             self.is_wrong = cannot_be_right(self._graph, self._lowest, strictness=_STRICTNESS)
-        return self.is_wrong
+        return self.is_wrong or (self._iterations >= _PATIENCE and self._rises >= _MOST_RISES)

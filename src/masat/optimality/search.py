@@ -223,9 +223,7 @@ class _Search:
             cuts = [None, *(cut_edges(shifts[0][0]) if shifts[0][1] == 0 else ())]
             own = np.array([cycle.edge for cycle, _ in shifts])
             by = np.array([2 * np.pi * turns * cycle.axis for cycle, turns in shifts])
-            # A long cycle bends all along.
-            rigid = all(len(cycle.edges) < LONG for cycle, _ in shifts)
-            trials: list[Trial] = [self._shift(own, by, cut, rigid) for cut in cuts]
+            trials: list[Trial] = [self._shift(own, by, cut) for cut in cuts]
             if any(self.lowest.attempt(where, trial) for trial in trials) or (
                 self._graph.dimension == 3 and self._lift_if_new(where)
             ):
@@ -362,14 +360,6 @@ class _Search:
     def _lift(self, part: Subgraph, above: float) -> Result:
         return lifted(part, above, self._seed)
 
-    def _shift(
-        self, edges: Indices, vectors: Floats, cut: int | None = None, rigid: bool = False
-    ) -> Trial:
-        return partial(
-            shifted_along,
-            shifted_edges=edges,
-            vectors=vectors,
-            cut=cut,
-            rigid=rigid,
-            unit=self.lowest.unit,
-        )
+    def _shift(self, edges: Indices, vectors: Floats, cut: int | None = None) -> Trial:
+        unit = self.lowest.unit
+        return partial(shifted_along, shifted_edges=edges, vectors=vectors, cut=cut, unit=unit)

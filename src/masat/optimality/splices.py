@@ -22,7 +22,7 @@ _REACH = 2
 # Radians and meters: poses that changed by less are the same as before.
 _SAME_POSE = 0.01
 # Radians: where no node has rotated by more, an optimizer is back at a minimum in 2D.
-_SAME_ROTATION = 0.05
+_SAME_ROTATION = 0.1
 
 
 class OtherMinimum:
@@ -87,7 +87,8 @@ def same_minimum(some: Floats, others: Floats) -> bool:
     """
     if some.shape[1] != 3:
         return same_poses(some, others)
-    return bool(np.abs(lie.local(some, others)[:, 2]).max() < _SAME_ROTATION)
+    turns = (some[:, 2] - others[:, 2]) / (2 * np.pi)
+    return bool(np.abs(turns - np.round(turns)).max() < _SAME_ROTATION / (2 * np.pi))
 
 
 def _key(part: Flags) -> bytes:

@@ -10,6 +10,7 @@ import numpy as np
 from masat import _core
 from masat.arrays import Flags, Floats, Ids
 from masat.graph import PoseGraph
+from masat.optimizers.translations import BestTranslations
 
 
 class Subgraph(NamedTuple):
@@ -27,6 +28,8 @@ class Subgraph(NamedTuple):
         Which nodes are free.
     equations : NormalEquations or None
         Those of `graph`, where they are known.
+    translations : BestTranslations or None
+        Those of `graph`, where they are known.
     """
 
     graph: PoseGraph
@@ -34,6 +37,7 @@ class Subgraph(NamedTuple):
     edges: Ids
     inside: Flags
     equations: _core.NormalEquations | None = None
+    translations: BestTranslations | None = None
 
 
 def neighborhood(graph: PoseGraph, nodes: Flags, steps: int = 1) -> Flags:
@@ -69,14 +73,17 @@ def subgraph(graph: PoseGraph, poses: Floats, inside: Flags) -> Subgraph:
 
 
 def whole(
-    graph: PoseGraph, poses: Floats, equations: _core.NormalEquations | None = None
+    graph: PoseGraph,
+    poses: Floats,
+    equations: _core.NormalEquations | None = None,
+    translations: BestTranslations | None = None,
 ) -> Subgraph:
     """Return the whole graph at some poses, with its gauge fixed."""
     inside = np.ones(len(poses), np.bool_)
     inside[graph.index(graph.gauge)] = False
     nodes = np.arange(len(poses), dtype=np.int64)
     edges = np.arange(len(graph.edges), dtype=np.int64)
-    return Subgraph(graph.with_poses(poses), nodes, edges, inside, equations)
+    return Subgraph(graph.with_poses(poses), nodes, edges, inside, equations, translations)
 
 
 def without_edges(graph: PoseGraph, edges: Flags) -> PoseGraph:

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
 
 from masat import _core, lie
-from masat.arrays import AnyArray, Flags, Floats, Indices
+from masat.arrays import Flags, Floats, Indices
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
-from masat.optimality.bodies import rigid_bodies
 from masat.optimality.cycles import shifted
 from masat.optimality.relaxation import lift
 from masat.optimality.splices import same_minimum, spliced
 from masat.optimality.subgraphs import Subgraph, subgraph, whole, without_edges
 from masat.optimizers import Iteration, Result, optimize
-from masat.optimizers.equations import normal_equations
+from masat.optimizers.equations import Equations, normal_equations
 from masat.optimizers.projection import ProjectedEquations
-from masat.optimizers.translations import solve_translations
+from masat.optimizers.translations import BestTranslations, solve_translations
 from masat.progress import Progress
 
 # chi2 that is lower by this fraction belongs to another minimum; near a minimum it changes by less
@@ -31,13 +31,8 @@ NEARLY, _ACCURACY = 5.0, 0.01
 # Iterations of a trial after a shift, after a lift, and with all nodes free. A trial ends where the
 # steps that are left, if they were all like the last one, would not lower chi2 enough.
 _SHIFT_ITERATIONS, _LIFT_ITERATIONS, _FREE_ITERATIONS = 30, 50, 50
-# Nodes of a part from which on rigid bodies are shifted first; the bend of an edge, as a fraction
-# of the largest, below which it is stiff; and units of chi2 that stiff edges may give way by.
-_MANY_NODES, _STIFF, _YIELD = 500, 0.15, 80.0
-# Iterations of the bodies, of Gauss-Newton then, and of the dogleg method at last.
-_BODY_ITERATIONS, _BENT_ITERATIONS, _LAST_ITERATIONS = 60, 3, 20
-# A step that takes off less than one in so many units that are missing is the last one.
-_NEXT_GAIN = 3.0
+# How many times what a step took off may still be missing.
+_NEXT_GAIN = 4.0
 
 Trial: TypeAlias = Callable[[Subgraph, float], Result]
 """Optimizes a part from elsewhere, given how far above its chi2 the end may be to be of use."""
@@ -93,6 +88,13 @@ class LowestMinimum:
         self.movable = gauge[count[labels[gauge]] == 1]
         self._fixed = gauge[count[labels[gauge]] > 1]
 
+    @cached_property
+    def _translations(self) -> BestTranslations | None:
+        try:
+            return BestTranslations(self._graph)
+        except InitializationError:
+            return None
+
     def converge(self, tolerance: float = NEAR) -> Result:
         """Go to the minimum."""
         result = self._minimum(self.poses, tolerance=tolerance)
@@ -124,7 +126,7 @@ class LowestMinimum:
             return False
         widened = widen and np.count_nonzero(nodes) > len(nodes) / 2
         if widened:
-            part, nearly = whole(graph, before, self._equations), 0.0
+            part, nearly = whole(graph, before, self._equations, self._translations), 0.0
         else:
             part = subgraph(graph, before, nodes)
         try:
@@ -212,7 +214,6 @@ def shifted_along(
     shifted_edges: Indices,
     vectors: Floats,
     cut: int | None,
-    rigid: bool,
     unit: float,
 ) -> Result:
     """Spread residuals and shifts anew, the positions first without an edge that is cut.
@@ -229,8 +230,6 @@ def shifted_along(
         By how much, as rotation vectors in radians.
     cut : int, optional
         Index of the edge that is cut.
-    rigid : bool
-        Whether rigid bodies take the place of what hardly bends, at first, if the part is large.
     unit : float
         What counts as one in chi2.
     """
@@ -240,65 +239,18 @@ def shifted_along(
     inside = np.isin(shifted_edges, part.edges)
     by[np.searchsorted(part.edges, shifted_edges[inside])] = vectors[inside]
     turned = shifted(graph, by)
-    if rigid and len(graph.ids) >= _MANY_NODES:
-        return _bent(part, turned, np.flatnonzero(by.any(axis=1)), above, unit)
+    translations = part.translations or BestTranslations(graph)
     loose = graph if cut is None else without_edges(graph, part.edges == cut)
-    initial = graph.with_poses(solve_translations(loose, turned))
-    tolerance = _ACCURACY * unit
+    initial = translations(turned) if cut is None else solve_translations(loose, turned)
+    equations = part.equations or normal_equations(graph)
     return _optimized(
         part,
-        initial,
+        graph.with_poses(initial),
         above,
         _SHIFT_ITERATIONS,
         relative_tolerance=0.0,
-        absolute_tolerance=tolerance,
-    )
-
-
-def _bent(
-    part: Subgraph, turned: Floats, shifted_edges: AnyArray, above: float, unit: float
-) -> Result:
-    """Optimize a part from elsewhere, first with what hardly bends there as rigid bodies."""
-    graph = part.graph
-    assert graph.poses is not None
-    i, j = graph.edge_indices.T
-    was, is_now = lie.between(graph.poses[i], graph.poses[j]), lie.between(turned[i], turned[j])
-    bend = np.abs(lie.local(was, is_now)[:, graph.dimension :]).max(axis=1)
-    bend[shifted_edges] = 0.0
-    stiff = bend < _STIFF * bend.max()
-    stiff[shifted_edges] = False
-    bodies = rigid_bodies(graph, stiff)
-    initial = solve_translations(bodies.graph, bodies.moved(turned))
-    low_enough = bodies.graph.chi2 + above + _YIELD * unit
-    rigid = optimize(
-        bodies.graph.with_poses(initial),
-        "dogleg",
-        max_iterations=_BODY_ITERATIONS,
-        absolute_tolerance=unit,
-        report=_StopIfHopeless(low_enough, _BODY_ITERATIONS),
-        equations=ProjectedEquations(bodies.graph, normal_equations(bodies.graph)),
-    )
-    poses = bodies.expanded(rigid.poses)
-    bent = graph.with_poses(poses)
-    hopeless = rigid.chi2 > low_enough or same_minimum(graph.poses, poses)
-    watch = _StopIfFar(graph.chi2 + above, bent.chi2)
-    near = optimize(
-        bent,
-        "gauss_newton",
-        max_iterations=0 if hopeless else _BENT_ITERATIONS,
-        report=watch,
-        equations=part.equations,
-    )
-    if hopeless or watch.is_far:
-        return near
-    return _optimized(
-        part,
-        near.graph,
-        above,
-        _LAST_ITERATIONS,
         absolute_tolerance=_ACCURACY * unit,
-        chi2=near.chi2,
-        projected=True,
+        equations=ProjectedEquations(equations, translations),
     )
 
 
@@ -311,22 +263,20 @@ def _optimized(
     *,
     relative_tolerance: float = 1e-9,
     absolute_tolerance: float = 0.0,
-    chi2: float = np.inf,
-    projected: bool = False,
+    equations: Equations | None = None,
 ) -> Result:
     """Optimize a part from elsewhere, until it is back where it was or cannot become low enough."""
     assert part.graph.poses is not None
     # In 3D an optimizer that is back where it was may still lead to a minimum nearby.
     home = part.graph.poses if part.graph.dimension == 2 else None
-    stop = _StopIfHopeless(part.graph.chi2 + above, iterations, chi2, home)
-    equations = part.equations or normal_equations(part.graph)
+    stop = _StopIfHopeless(part.graph.chi2 + above, iterations, home)
     return optimize(
         initial,
         method,
         max_iterations=max(iterations, _SHIFT_ITERATIONS),
         report=stop,
         report_poses=stop.look,
-        equations=ProjectedEquations(part.graph, equations) if projected else equations,
+        equations=equations or part.equations,
         relative_tolerance=relative_tolerance,
         absolute_tolerance=absolute_tolerance,
     )
@@ -336,18 +286,13 @@ class _StopIfHopeless:
     """Stops an optimizer where the steps that are left would not bring chi2 low enough.
 
     A step may gain less than it could while the region of trust adapts: half of what was expected
-    before the step counts in its place. Poses that are back home, as they were, stop it, too.
+    before the step counts in its place. Near a minimum, where steps get much shorter, the next ones
+    gain little more than the last one. Poses that are back home, as they were, stop it, too.
     """
 
-    def __init__(
-        self,
-        low_enough: float,
-        iterations: int,
-        chi2: float = np.inf,
-        home: Floats | None = None,
-    ) -> None:
-        self._low_enough, self._left, self._last = low_enough, iterations, chi2
-        self._expected = 0.0
+    def __init__(self, low_enough: float, iterations: int, home: Floats | None = None) -> None:
+        self._low_enough, self._left, self._last = low_enough, iterations, np.inf
+        self._expected, self._length = 0.0, 0.0
         self._home, self._is_home = home, False
 
     def look(self, poses: Floats) -> None:
@@ -360,21 +305,21 @@ class _StopIfHopeless:
         gained, self._last = self._last - step.chi2, step.chi2
         self._expected = max(min(gained, missing), self._expected / 2)
         self._left -= 1
-        return self._is_home or missing > self._left * self._expected
+        is_near = step.step < self._length / 2 and missing > _NEXT_GAIN * gained
+        self._length = step.step
+        return self._is_home or is_near or missing > self._left * self._expected
 
 
 class _StopIfFar:
-    """Stops Gauss-Newton after a step that gains little of what is missing.
+    """Stops an optimizer near a minimum after a step that gains little of what is missing.
 
-    A step that gains anything is so good that the next ones gain much less.
+    The steps get shorter there. `chi2` is that before the first one.
     """
 
     def __init__(self, low_enough: float, chi2: float) -> None:
         self._low_enough, self._last = low_enough, chi2
-        self.is_far = False
 
     def __call__(self, step: Iteration) -> bool:
         """Return whether to stop after an iteration."""
         gained, self._last = self._last - step.chi2, step.chi2
-        self.is_far = gained >= 0 and step.chi2 - self._low_enough > _NEXT_GAIN * gained
-        return self.is_far
+        return step.chi2 - self._low_enough > _NEXT_GAIN * gained

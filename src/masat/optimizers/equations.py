@@ -134,10 +134,11 @@ def rounding_of(poses: Floats, edges: Indices, information: Floats) -> float:
         return 0.0
     d = 2 if poses.shape[1] == 3 else 3
     largest = np.maximum(np.abs(poses[:, :d]).max(axis=1), 1.0)
-    reach = largest[edges].max(axis=1)
-    diagonal = np.einsum("kii->ki", information)
-    moved = np.square(reach) @ diagonal[:, :d].sum(axis=1)
-    return float(_EPSILON**2 * (moved + diagonal[:, d:].sum()))
+    reach = np.maximum(largest[edges[:, 0]], largest[edges[:, 1]])
+    # Column by column: sums along short axes take many times as long.
+    diagonal = [information[:, k, k] for k in range(information.shape[1])]
+    moved = np.square(reach) @ sum(diagonal[1:d], diagonal[0])
+    return float(_EPSILON**2 * (moved + sum(turn.sum() for turn in diagonal[d:])))
 
 
 def why_singular(graph: PoseGraph, node: int) -> str:

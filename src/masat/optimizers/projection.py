@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from masat import _core
 from masat.arrays import Floats
-from masat.errors import InitializationError
-from masat.graph import PoseGraph
 from masat.optimizers.equations import Equations
-from masat.optimizers.translations import solve_translations
+from masat.optimizers.translations import BestTranslations
 
 
 class ProjectedEquations:
@@ -15,30 +12,25 @@ class ProjectedEquations:
 
     chi2 is quadratic in the translations, so that a step can be judged by its rotations alone. Far
     from a minimum, where large parts of a map still have to rotate and their positions move along
-    arcs, that takes a fraction of the steps; each costs half as much again. Sources: Golub and
-    Pereyra, The differentiation of pseudo-inverses and nonlinear least squares problems whose
-    variables separate, 1973; for SLAM, Khosoussi, Huang, Dissanayake, Exploiting the separable
-    structure of SLAM, RSS 2015. The step itself is that of all poses.
+    arcs, that takes a fraction of the steps. Sources: Golub and Pereyra, The differentiation of
+    pseudo-inverses and nonlinear least squares problems whose variables separate, 1973; for SLAM,
+    Khosoussi, Huang, Dissanayake, Exploiting the separable structure of SLAM, RSS 2015. The step
+    itself is that of all poses.
 
     Parameters
     ----------
-    graph : PoseGraph
-        The graph.
     inner : Equations
-        Those of its chi2.
+        Those of the chi2 of a graph.
+    translations : BestTranslations
+        Those of the same graph.
     """
 
-    def __init__(self, graph: PoseGraph, inner: Equations) -> None:
-        self._graph, self._inner = graph, inner
-        self._matrix = _core.GraphMatrix(graph.elimination, graph.dimension)
+    def __init__(self, inner: Equations, translations: BestTranslations) -> None:
+        self._inner, self._translations = inner, translations
         self.chi2, self.linearize = inner.chi2, inner.linearize
         self.rhs, self.diagonal, self.multiply = inner.rhs, inner.diagonal, inner.multiply
         self.factorize, self.solve = inner.factorize, inner.solve
 
     def retract(self, poses: Floats, step: Floats, /) -> Floats:
-        """Return the poses after a step, with the best translations where these are determined."""
-        moved = self._inner.retract(poses, step)
-        try:
-            return solve_translations(self._graph, moved, self._matrix)
-        except InitializationError:
-            return moved
+        """Return the poses after a step, with the best translations for their rotations."""
+        return self._translations(self._inner.retract(poses, step))
