@@ -14,7 +14,7 @@ from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimality.bounds import looks_global
 from masat.optimality.cycles import AmbiguousCycles, rotation_residuals, rotation_weight
-from masat.optimality.relaxation import Relaxation, lift
+from masat.optimality.relaxation import Relaxation, lift, lifted_operations
 from masat.optimality.search import lower_minimum
 from masat.optimizers import Iteration, Result, optimize
 from masat.optimizers.equations import Equations, normal_equations
@@ -263,7 +263,7 @@ def _first_minimum(
     start = guess
     try:
         # In 3D it is the search that needs parts of many minima, and lifts all nodes at its end.
-        if guess.dimension == 2 and Relaxation(guess).lifted_operations() <= _CHEAP_LIFT:
+        if guess.dimension == 2 and lifted_operations(guess) <= _CHEAP_LIFT:
             progress.tell("lifting all nodes")
             start = guess.with_poses(lift(guess, seed=seed))
     except InitializationError:

@@ -16,9 +16,11 @@ from masat.optimality.surrogates import tangent_surrogate
 TIGHT = 1e-6
 # Fractions of chi2 that a bound may give up, from the smallest on, until the certificate holds.
 _ALLOWED = (0.0, TIGHT / 4, 1e-4, 1e-3, 1e-2, 0.1, 0.5)
+# And what one at a higher rank may, whose certificate fails by less.
+_ALLOWED_LIFTED = (0.0, TIGHT / 4, 2e-6, 1e-5, *_ALLOWED[2:])
 # The fraction of chi2 that is still to be gained where an optimizer stopped early, at most.
 _NEAR_MINIMUM = 1e-3
-_LIFTED_DECREASE = 1e-6
+_LIFTED_DECREASE = 1e-9
 
 
 def chi2_bound(graph: PoseGraph, chi2: float) -> float:
@@ -105,7 +107,7 @@ class TangentRelaxation:
         """Return a bound that gives up one of some fractions of chi2, the first that holds."""
         return self._touched_less(self._unknowns, 0.0, allowed)
 
-    def lifted(self, seed: int, allowed: tuple[float, ...] = _ALLOWED) -> Lifted | None:
+    def lifted(self, seed: int, allowed: tuple[float, ...] = _ALLOWED_LIFTED) -> Lifted | None:
         """Return the minimum at a higher rank, or None where memory does not allow that."""
         relaxation = self._relaxation
         if not relaxation.can_lift():

@@ -20,12 +20,15 @@ from masat.assembly import AssembledGraph, with_edges
 from masat.errors import InitializationError
 from masat.graph import PoseGraph
 from masat.optimality.bounds import TIGHT, TangentRelaxation
+from masat.optimality.relaxation import lifted_operations
 from masat.optimizers import Result, optimize
 from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
 
 # More pairs than these take too many boxes: 16 are enough for one pair, some hundreds for three.
-_MAX_PAIRS, _MAX_BOXES = 2, 100
+_MAX_PAIRS, _FEW_BOXES, _MAX_BOXES = 2, 16, 100
+# Boxes times the operations of a factorization at the higher rank: half a minute on one core.
+_MAX_OPERATIONS = 2e10
 _ITERATIONS = 60
 # Fractions of a box's chi2, its edges included, that a bound may give up, from the smallest on.
 _ALLOWED = (0.0, TIGHT / 10)
@@ -76,8 +79,9 @@ def branched_bound(
     Returns
     -------
     bound : float
-        0 if lower poses are met, and where it gives up: after too many boxes, where more than two
-        pairs mix, at the end of the time budget, and where memory does not allow the higher rank.
+        0 if lower poses are met, and where it gives up: after too many boxes, at once in graphs of
+        some thousands of nodes where few would take too long, where more than two pairs mix, at the
+        end of the time budget, and where memory does not allow the higher rank.
     lower : PoseGraph or None
         The graph at poses of a lower chi2.
     """
@@ -103,7 +107,10 @@ class _Branching:
     def bound(self) -> tuple[float, PoseGraph | None]:
         """See `branched_bound`."""
         waiting, lowest = [Box({}, self._poses)], self._chi2
-        for _ in range(_MAX_BOXES + 1):
+        affordable = _MAX_OPERATIONS / max(lifted_operations(self._graph), 1.0)
+        if affordable < _FEW_BOXES:
+            return 0.0, None
+        for _ in range(min(_MAX_BOXES, int(affordable)) + 1):
             if not waiting:
                 return lowest, None
             if self._progress.over or not self._is_minimum:

@@ -138,11 +138,6 @@ class Relaxation:
         size = _core.lifted_block_size(self.graph.dimension, _LIFTED_RANK)
         return 8 * self.graph.elimination.fill(size) <= _MAX_FACTOR_BYTES
 
-    def lifted_operations(self) -> float:
-        """Return the operations of a factorization at the higher rank."""
-        size = _core.lifted_block_size(self.graph.dimension, _LIFTED_RANK)
-        return self.graph.elimination.operations(size)
-
     def lift(self, x: Floats, rng: np.random.Generator) -> Floats:
         """Return unknowns of a higher rank, the new columns filled with smooth noise."""
         d, old = self.graph.dimension, x.shape[2]
@@ -240,6 +235,11 @@ class Relaxation:
         return self._matrix.assemble_poses(
             self.graph.topology, *self.surrogate[:3], x, self.graph.sensor_offsets
         )
+
+
+def lifted_operations(graph: PoseGraph) -> float:
+    """Return the operations of a factorization at the higher rank."""
+    return graph.elimination.operations(_core.lifted_block_size(graph.dimension, _LIFTED_RANK))
 
 
 def polish(graph: PoseGraph) -> Floats:

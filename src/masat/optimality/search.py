@@ -19,7 +19,7 @@ from masat.optimality.cycles import (
     relative_to_mean,
     rotating_nodes,
 )
-from masat.optimality.relaxation import Relaxation
+from masat.optimality.relaxation import Relaxation, lifted_operations
 from masat.optimality.splices import OtherMinimum
 from masat.optimality.strings import Strings
 from masat.optimality.subgraphs import Subgraph, connected_parts, neighborhood
@@ -347,7 +347,7 @@ class _Search:
 
     @property
     def _lifts_cheaply(self) -> bool:
-        return self._relaxation.lifted_operations() <= _MAX_LIFTED_OPERATIONS
+        return lifted_operations(self._graph) <= _MAX_LIFTED_OPERATIONS
 
     def _relative(self, cycle: Cycle) -> Floats:
         """Return the rotations of a cycle's nodes; few of them if only the gauge is fixed."""
