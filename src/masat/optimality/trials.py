@@ -15,8 +15,9 @@ from masat.graph import PoseGraph
 from masat.optimality.cycles import shifted
 from masat.optimality.relaxation import lift
 from masat.optimality.splices import same_minimum, spliced
+from masat.optimality.stopping import StopIfFar, StopIfHopeless
 from masat.optimality.subgraphs import Subgraph, subgraph, whole, without_edges
-from masat.optimizers import Iteration, Result, optimize
+from masat.optimizers import Result, optimize
 from masat.optimizers.equations import Equations, normal_equations
 from masat.optimizers.projection import ProjectedEquations
 from masat.optimizers.translations import BestTranslations, solve_translations
@@ -31,9 +32,6 @@ NEARLY, _ACCURACY = 5.0, 0.01
 # Iterations of a trial after a shift, after a lift, and with all nodes free. A trial ends where the
 # steps that are left, if they were all like the last one, would not lower chi2 enough.
 _SHIFT_ITERATIONS, _LIFT_ITERATIONS, _FREE_ITERATIONS = 30, 50, 50
-# How many times what a step took off may still be missing.
-_NEXT_GAIN = 4.0
-
 Trial: TypeAlias = Callable[[Subgraph, float], Result]
 """Optimizes a part from elsewhere, given how far above its chi2 the end may be to be of use."""
 
@@ -147,7 +145,7 @@ class LowestMinimum:
         lower = self.chi2 * (1 - LOWER)
         if lower <= chi2 < self.chi2 + nearly * self.unit:
             # Nearly as low: with all nodes free it may become lower.
-            free = self._minimum(poses, _StopIfFar(lower, chi2))
+            free = self._minimum(poses, StopIfFar(lower, chi2))
             poses, chi2 = free.poses, free.chi2
         if chi2 < lower:
             self.poses, self.chi2 = poses, chi2
@@ -164,7 +162,7 @@ class LowestMinimum:
             poses[k] = self.poses[k]
 
     def _minimum(
-        self, poses: Floats, report: _StopIfFar | None = None, tolerance: float = NEAR
+        self, poses: Floats, report: StopIfFar | None = None, tolerance: float = NEAR
     ) -> Result:
         """Return the minimum that an optimizer finds from some poses."""
         return optimize(
@@ -240,8 +238,10 @@ def shifted_along(
     by[np.searchsorted(part.edges, shifted_edges[inside])] = vectors[inside]
     turned = shifted(graph, by)
     translations = part.translations or BestTranslations(graph)
-    loose = graph if cut is None else without_edges(graph, part.edges == cut)
-    initial = translations(turned) if cut is None else solve_translations(loose, turned)
+    if cut is None:
+        initial = translations(turned)
+    else:
+        initial = solve_translations(without_edges(graph, part.edges == cut), turned)
     equations = part.equations or normal_equations(graph)
     return _optimized(
         part,
@@ -269,57 +269,14 @@ def _optimized(
     assert part.graph.poses is not None
     # In 3D an optimizer that is back where it was may still lead to a minimum nearby.
     home = part.graph.poses if part.graph.dimension == 2 else None
-    stop = _StopIfHopeless(part.graph.chi2 + above, iterations, home)
+    stop = StopIfHopeless(part.graph.chi2 + above, iterations, home)
     return optimize(
         initial,
         method,
-        max_iterations=max(iterations, _SHIFT_ITERATIONS),
+        max_iterations=iterations,
         report=stop,
         report_poses=stop.look,
         equations=equations or part.equations,
         relative_tolerance=relative_tolerance,
         absolute_tolerance=absolute_tolerance,
     )
-
-
-class _StopIfHopeless:
-    """Stops an optimizer where the steps that are left would not bring chi2 low enough.
-
-    A step may gain less than it could while the region of trust adapts: half of what was expected
-    before the step counts in its place. Near a minimum, where steps get much shorter, the next ones
-    gain little more than the last one. Poses that are back home, as they were, stop it, too.
-    """
-
-    def __init__(self, low_enough: float, iterations: int, home: Floats | None = None) -> None:
-        self._low_enough, self._left, self._last = low_enough, iterations, np.inf
-        self._expected, self._length = 0.0, 0.0
-        self._home, self._is_home = home, False
-
-    def look(self, poses: Floats) -> None:
-        """Look whether poses are back home."""
-        self._is_home = self._home is not None and same_minimum(self._home, poses)
-
-    def __call__(self, step: Iteration) -> bool:
-        """Return whether to stop after an iteration."""
-        missing = step.chi2 - self._low_enough
-        gained, self._last = self._last - step.chi2, step.chi2
-        self._expected = max(min(gained, missing), self._expected / 2)
-        self._left -= 1
-        is_near = step.step < self._length / 2 and missing > _NEXT_GAIN * gained
-        self._length = step.step
-        return self._is_home or is_near or missing > self._left * self._expected
-
-
-class _StopIfFar:
-    """Stops an optimizer near a minimum after a step that gains little of what is missing.
-
-    The steps get shorter there. `chi2` is that before the first one.
-    """
-
-    def __init__(self, low_enough: float, chi2: float) -> None:
-        self._low_enough, self._last = low_enough, chi2
-
-    def __call__(self, step: Iteration) -> bool:
-        """Return whether to stop after an iteration."""
-        gained, self._last = self._last - step.chi2, step.chi2
-        return step.chi2 - self._low_enough > _NEXT_GAIN * gained
