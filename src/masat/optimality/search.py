@@ -324,6 +324,8 @@ class _Search:
         nodes ever more is lifted, around others as long as it is little.
         """
         uncertified = self._relaxation.uncertified_nodes(self.poses)
+        if len(uncertified) == 0 or self._progress.over:
+            return False
         refuted = self._relaxation.refuted_nodes(self.poses)
         stages = [(uncertified, _WIDER_REACH, _LITTLE)]
         stages += [(refuted, reach, _MUCH) for reach in _REFUTED_REACHES]
