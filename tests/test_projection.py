@@ -93,6 +93,16 @@ def test_what_nothing_determines_has_no_best_translation(rows):
         BestTranslations(graph)(graph.poses)
 
 
+def test_a_step_stays_plain_where_nothing_determines_a_translation():
+    graph = masat.PoseGraph.from_arrays(
+        [[0, 1]], np.zeros((1, 3)), np.diag([0.0, 0.0, 1.0])[None], poses=np.zeros((2, 3))
+    )
+    projected = ProjectedEquations(normal_equations(graph), BestTranslations(graph))
+    assert projected.retract(graph.poses, np.array([1.0, 2.0, 0.5]))[1] == pytest.approx(
+        [1, 2, 0.5]
+    )
+
+
 def test_a_loss_takes_the_normal_equations_of_a_graph_alone():
     graph = random_graph(2, 10, 10, seed=1, noise=0.1)
     projected = ProjectedEquations(normal_equations(graph), BestTranslations(graph))

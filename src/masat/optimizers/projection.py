@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from masat.arrays import Floats
+from masat.errors import InitializationError
 from masat.optimizers.equations import Equations
 from masat.optimizers.translations import BestTranslations
 
@@ -32,5 +33,9 @@ class ProjectedEquations:
         self.factorize, self.solve = inner.factorize, inner.solve
 
     def retract(self, poses: Floats, step: Floats, /) -> Floats:
-        """Return the poses after a step, with the best translations for their rotations."""
-        return self._translations(self._inner.retract(poses, step))
+        """Return the poses after a step, with the best translations where these are determined."""
+        moved = self._inner.retract(poses, step)
+        try:
+            return self._translations(moved)
+        except InitializationError:
+            return moved
