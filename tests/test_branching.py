@@ -24,14 +24,14 @@ def at_minimum(graph):
 def loose(seed):
     """A world at whose minimum the relaxation is not tight, for some seeds."""
     world = manhattan(200, 300, seed=seed)
-    return at_minimum(perturb(world, (0.3, 0.3, 0.3), seed=seed))
+    return at_minimum(perturb(world, (0.4, 0.4, 0.4), seed=seed))
 
 
 @pytest.mark.parametrize("seed", [8, 10, 11])
 def test_a_minimum_is_proven_where_the_relaxation_alone_is_not_tight(seed):
     graph = loose(seed)
     chi2 = graph.chi2
-    assert chi2 - chi2_bound(graph, chi2) > 1e-3 * chi2
+    assert chi2 - chi2_bound(graph, chi2) > 5e-4 * chi2
     bound, lower = branched_bound(graph, chi2)
     assert chi2 * (1 - TIGHT / 2) <= bound <= chi2
     assert lower is None
@@ -126,13 +126,14 @@ def test_the_stiffness_of_a_relative_rotation_is_its_inverse_variance():
 
 
 def test_the_most_mixed_pair_is_found():
-    # Ten nodes in one plane, the last three turned out of it by 80 degrees.
-    frames = np.zeros((10, 3, 4))
-    frames[:, 0, 0] = frames[:, 1, 1] = 1
-    frames[7:, 1, 1], frames[7:, 1, 2] = np.cos(np.radians(80)), np.sin(np.radians(80))
-    pair, determinant = _most_mixed(frames)
+    # Ten nodes whose frames differ in phase, the last three turned out of the first number too.
+    frames = np.zeros((10, 4, 2))
+    frames[:, 0, 0], frames[:, 1, 0] = np.cos(range(10)), np.sin(range(10))
+    frames[7:, :, 0] *= np.cos(np.radians(80))
+    frames[7:, 0, 1] = np.sin(np.radians(80))
+    pair, length = _most_mixed(frames)
     assert pair[0] < 7 <= pair[1]
-    assert determinant == pytest.approx(np.cos(np.radians(80)))
+    assert length == pytest.approx(np.cos(np.radians(80)))
 
 
 def test_more_edges_change_chi2_by_their_own():

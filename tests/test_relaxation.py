@@ -32,7 +32,7 @@ def twisted(graph):
 
 def cost_at(graph):
     relaxed = Relaxation(graph)
-    return relaxed.cost(relaxed.unknowns(graph.poses, graph.dimension))
+    return relaxed.cost(relaxed.unknowns(graph.poses))
 
 
 def test_the_cost_in_3d_is_chi2_where_information_is_isotropic():
@@ -63,37 +63,57 @@ def test_a_minimum_is_critical(dimension, extra):
         step = 1e-4 * rng.normal(size=point.unknowns.shape)
         step[held] = 0
         moved = point.unknowns + step
-        q, r = np.linalg.qr(moved[:, :d].transpose(0, 2, 1))
-        moved[:, :d] = (q * np.sign(np.einsum("kii->ki", r))[:, None, :]).transpose(0, 2, 1)
+        if d == 2:
+            moved[:, :d] /= np.linalg.norm(moved[:, :d], axis=(1, 2))[:, None, None]
+        else:
+            q, r = np.linalg.qr(moved[:, :d].transpose(0, 2, 1))
+            moved[:, :d] = (q * np.sign(np.einsum("kii->ki", r))[:, None, :]).transpose(0, 2, 1)
         rise = relaxed.cost(moved) - point.cost
         # Of second order in the step, and not downwards.
         assert -1e-9 < rise < 1e-4 * max(point.cost, 1)
 
 
+def step(measurement, d):
+    """The matrix T of a measurement, by its formula: X_j = T X_i where it fits."""
+    out = np.eye(4)
+    turn = _core.rotation_matrices(measurement[None])[0]
+    if d == 2:
+        # Complex numbers, real and imaginary parts a row each: t_j = t_i + z r_i.
+        x, y = measurement[:2]
+        out[:2, :2], out[2:, :2] = turn, [[x, -y], [y, x]]
+    else:
+        out[:3, :3], out[3, :3] = turn.T, measurement[:3]
+    return out
+
+
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_the_certificate_is_that_of_the_dense_matrix(dimension):
     graph = random_graph(dimension, 6, 12, seed=2, noise=0.4)
-    d, n = dimension, 6
+    d, n, b = dimension, 6, 4
     relaxed = Relaxation(graph)
-    x, b = relaxed.unknowns(masat.initialize(graph, "chordal").poses, d), d + 1
+    x = relaxed.unknowns(masat.initialize(graph, "chordal").poses)
+    units = 1 if d == 2 else 3
     dense = np.zeros((n * b, n * b))
-    turns = _core.rotation_matrices(graph.measurements)
     for k, (i, j) in enumerate(graph.edge_indices):
-        # X_j - T' X_i, its rows weighted.
+        # X_j - T X_i, its rows weighted.
         residual = np.zeros((b, n * b))
         residual[:, j * b : j * b + b] = np.eye(b)
-        residual[:d, i * b : i * b + d] = -turns[k].T
-        residual[d, i * b : i * b + b] = -np.append(graph.measurements[k, :d], 1)
-        weight = [relaxed.surrogate.rotation[k]] * d + [relaxed.surrogate.translation[k]]
+        residual[:, i * b : i * b + b] = -step(graph.measurements[k], d)
+        # |R|^2 is 2 in 2D, where a unit complex number has 1.
+        rotation, translation = relaxed.surrogate.rotation[k], relaxed.surrogate.translation[k]
+        weight = [rotation * d / units] * d + [translation] * (b - d)
         dense += residual.T @ np.diag(weight) @ residual
     pulled = (dense @ x.reshape(n * b, -1)).reshape(x.shape)
     for k in range(n):
         multiplier = pulled[k, :d] @ x[k, :d].T
-        dense[k * b : k * b + d, k * b : k * b + d] -= (multiplier + multiplier.T) / 2
+        multiplier = (multiplier + multiplier.T) / 2
+        if d == 2:
+            multiplier = np.trace(multiplier) * np.eye(2)
+        dense[k * b : k * b + d, k * b : k * b + d] -= multiplier
     free = np.arange(b, n * b)  # node 0 is fixed
     s = dense[np.ix_(free, free)]
     linear_term = relaxed._assemble(x)
-    onto = np.tile([1.0] * d + [0.0], n - 1)
+    onto = np.tile([1.0] * d + [0.0] * (b - d), n - 1)
     for shift in (1e-6, 1e-3, 0.1, 1.0, 10.0):
         positive = np.linalg.eigvalsh(s + shift * np.diag(onto)).min() > 0
         gap = _core.certificate_gap(relaxed._matrix, linear_term, x[1:].copy(), shift, 0.0)
@@ -104,12 +124,12 @@ def test_the_certificate_is_that_of_the_dense_matrix(dimension):
         # With these fixed, it is positive.
         rest = np.setdiff1d(np.arange(1, n), uncertified + 1)
         left = np.ix_(*[(b * rest[:, None] + np.arange(b)).ravel()] * 2)
-        onto_left = np.tile([1.0] * d + [0.0], len(rest))
+        onto_left = np.tile([1.0] * d + [0.0] * (b - d), len(rest))
         assert np.all(np.linalg.eigvalsh(dense[left] + shift * np.diag(onto_left)) > 0)
         if positive:
             g = (dense @ x.reshape(n * b, -1))[free]
             below = np.sum(g * np.linalg.solve(s + shift * np.diag(onto), g))
-            assert np.isclose(gap, 4 * d * (n - 1) * shift + below)
+            assert np.isclose(gap, 4 * units * (n - 1) * shift + below)
         for margin in (1e-4, 0.1):
             lower = s + shift * np.diag(onto) - margin * np.diag(np.abs(np.diag(s)))
             gap = _core.certificate_gap(relaxed._matrix, linear_term, x[1:].copy(), shift, margin)
@@ -117,7 +137,7 @@ def test_the_certificate_is_that_of_the_dense_matrix(dimension):
             if np.isfinite(gap):
                 g = (dense @ x.reshape(n * b, -1))[free]
                 below = np.sum(g * np.linalg.solve(lower, g))
-                assert np.isclose(gap, 4 * d * (n - 1) * shift + below)
+                assert np.isclose(gap, 4 * units * (n - 1) * shift + below)
     with pytest.raises(ValueError, match="margin"):
         _core.certificate_gap(relaxed._matrix, linear_term, x[1:].copy(), shift, -1.0)
 
@@ -148,33 +168,34 @@ def test_the_form_costs_what_its_formula_says(dimension, kind):
     def unknowns():
         poses = random_poses(d, n, rng)
         poses[fixed] = graph.poses[fixed]
-        return Relaxation(graph).unknowns(poses, d)
+        return poses, Relaxation(graph).unknowns(poses)
 
-    def cost(x):
-        turn = _core.rotation_matrices(graph.measurements)
-        error = turn.transpose(0, 2, 1) @ x[i, :d] @ x[j, :d].transpose(0, 2, 1)
-        ahead = (graph.measurements[:, None, :d] @ x[i, :d])[:, 0]
+    def cost(poses):
+        turn, r = (_core.rotation_matrices(p) for p in (graph.measurements, poses))
+        error = turn.transpose(0, 2, 1) @ r[i].transpose(0, 2, 1) @ r[j]
+        ahead = (r[i] @ graph.measurements[:, :d, None])[:, :, 0]
         rotations = 2 * np.einsum("kii->", matrices) - 2 * np.sum(matrices * error)
-        return rotations + tau @ np.square(x[j, d] - x[i, d] - ahead).sum(axis=1)
+        return rotations + tau @ np.square(poses[j, :d] - poses[i, :d] - ahead).sum(axis=1)
 
     order = _core.Elimination(graph.topology, fixed, np.empty(0, np.int32))
-    matrix = _core.GraphMatrix(order, d + 1)
-    x, y = unknowns(), unknowns()
+    matrix = _core.GraphMatrix(order, 4)
+    (at_x, x), (at_y, y) = unknowns(), unknowns()
     weights = numbers if kind == "numbers" else matrices
-    f = matrix.assemble_poses(graph.topology, graph.measurements, weights, tau, x).reshape(-1, d)
-    h = dense(matrix, len(f), d + 1)
+    f = matrix.assemble_poses(graph.topology, graph.measurements, weights, tau, x)
+    f = f.reshape(-1, x.shape[2])
+    h = dense(matrix, len(f), 4)
 
     def form(x):
-        own = x[~fixed].reshape(-1, d)
+        own = x[~fixed].reshape(len(f), -1)
         return np.sum(own * (h @ own - 2 * f))
 
-    assert np.isclose(form(x) - form(y), cost(x) - cost(y), rtol=1e-9, atol=1e-6)
+    assert np.isclose(form(x) - form(y), cost(at_x) - cost(at_y), rtol=1e-9, atol=1e-6)
     if kind == "numbers":
-        turned = _core.rotation_matrices(graph.measurements).transpose(0, 2, 1) @ x[i, :d]
-        gap = np.square(x[j, :d] - turned).sum(axis=(1, 2))
-        ahead = (graph.measurements[:, None, :d] @ x[i, :d])[:, 0]
-        steps = np.square(x[j, d] - x[i, d] - ahead).sum(axis=1)
-        assert np.isclose(cost(x), numbers @ gap + tau @ steps)
+        r = _core.rotation_matrices(at_x)
+        gap = np.square(r[j] - r[i] @ _core.rotation_matrices(graph.measurements)).sum(axis=(1, 2))
+        ahead = (r[i] @ graph.measurements[:, :d, None])[:, :, 0]
+        steps = np.square(at_x[j, :d] - at_x[i, :d] - ahead).sum(axis=1)
+        assert np.isclose(cost(at_x), numbers @ gap + tau @ steps)
     else:
         with pytest.raises(ValueError, match=r"\(m,\) or \(m, d, d\)"):
             matrix.assemble_poses(
@@ -201,7 +222,7 @@ def test_minimization_of_an_exact_world_stops_at_rounding(make):
     z[:, :d] *= 1e6
     graph = PoseGraph.from_arrays(world.edges, z, ids=world.ids, poses=far)
     relaxed = Relaxation(graph)
-    x = relaxed.unknowns(far, d)
+    x = relaxed.unknowns(far)
     one, many = (relaxed.minimize(x, decrease=1e-7, damping=1e-2, steps=k) for k in (2, 60))
     assert np.array_equal(one.unknowns, many.unknowns)
     assert many.cost < 1e-12
@@ -210,13 +231,13 @@ def test_minimization_of_an_exact_world_stops_at_rounding(make):
 def lifted_problem(dimension, rank):
     graph = random_graph(dimension, 6, 10, seed=0, noise=0.2)
     relaxed = Relaxation(graph)
-    x = relaxed.unknowns(graph.poses, dimension)
-    if rank > dimension:
+    x = relaxed.unknowns(graph.poses)
+    if rank > x.shape[2]:
         x = relaxed.lift(x, np.random.default_rng(0))
     return relaxed._matrix, relaxed._assemble(x), x[1:].copy()
 
 
-@pytest.mark.parametrize(("dimension", "rank"), [(2, 2), (2, 4), (3, 3), (3, 4)])
+@pytest.mark.parametrize(("dimension", "rank"), [(2, 1), (2, 2), (3, 3), (3, 4)])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_what_is_not_finite_is_named_and_changes_nothing(dimension, rank, value):
     matrix, linear_term, x = lifted_problem(dimension, rank)
@@ -239,8 +260,8 @@ def test_translations_that_the_edges_do_not_determine_are_named(dimension):
     # Nodes 0 and 1 are joined by an edge whose translation has no weight.
     z = np.tile(lie.identity(dimension), (2, 1))
     graph = PoseGraph.from_arrays([(0, 1), (1, 2)], z, poses=np.vstack([z, z[:1]]), fixed=[0])
-    matrix = _core.GraphMatrix(graph.elimination, dimension + 1)
-    x = Relaxation(graph).unknowns(graph.poses, dimension)
+    matrix = _core.GraphMatrix(graph.elimination, 4)
+    x = Relaxation(graph).unknowns(graph.poses)
     linear_term = matrix.assemble_poses(graph.topology, z, np.ones(2), np.array([0.0, 1]), x)
     moved = x[1:] + 0.1
     out, failed = _core.minimize_lifted(matrix, linear_term, 1.0, moved, 1e-7, 1.0, 20)
@@ -248,13 +269,43 @@ def test_translations_that_the_edges_do_not_determine_are_named(dimension):
     assert np.array_equal(out, moved)
 
 
-@pytest.mark.parametrize(("dimension", "rank"), [(2, 2), (2, 4), (3, 3), (3, 4)])
+@pytest.mark.parametrize(("dimension", "rank"), [(2, 1), (2, 2), (3, 3), (3, 4)])
 def test_the_block_of_a_lifted_pose_has_its_degrees_of_freedom(dimension, rank):
-    # Numbers of a frame less the constraints that it is orthonormal, and a translation.
-    frame = dimension * rank - dimension * (dimension + 1) // 2
-    assert _core.lifted_block_size(dimension, rank) == frame + rank
+    # Numbers of a frame less its constraints, and a translation: complex numbers in 2D.
+    frame = 2 * rank - 1 if dimension == 2 else 3 * rank - 6
+    assert _core.lifted_block_size(rank) == frame + (2 if dimension == 2 else 1) * rank
     with pytest.raises(ValueError, match="ranks are"):
-        _core.lifted_block_size(dimension, 5)
+        _core.lifted_block_size(5)
+
+
+def test_in_2d_the_relaxation_takes_no_reflection_for_a_rotation():
+    # At this minimum the matrix of the relaxation with matrices of two rows is indefinite.
+    world = manhattan(200, 300, seed=8)
+    graph = masat.solve(perturb(world, (0.3, 0.3, 0.3), seed=8)).graph
+    relaxed = Relaxation(graph)
+    x = relaxed.polish(graph.poses).unknowns
+    assert np.isfinite(relaxed.gap(x))
+    n = len(graph)
+    y, i, j = transposed_poses(relaxed.poses(x)), *graph.edge_indices.T
+    dense, turns = np.zeros((n, 3, n, 3)), _core.rotation_matrices(graph.measurements)
+    for k in range(len(i)):
+        residual = np.zeros((3, n, 3))
+        residual[:, j[k]] = np.eye(3)
+        residual[:2, i[k], :2] = -turns[k].T
+        residual[2, i[k]] = -np.append(graph.measurements[k, :2], 1)
+        weight = [relaxed.surrogate.rotation[k]] * 2 + [relaxed.surrogate.translation[k]]
+        dense += np.einsum("r,ria,rjb->iajb", weight, residual, residual)
+    pulled = np.einsum("iajb,jbc->iac", dense, y)
+    for k in range(n):
+        multiplier = pulled[k, :2] @ y[k, :2].T
+        dense[k, :2, k, :2] -= (multiplier + multiplier.T) / 2
+    assert np.linalg.eigvalsh(dense[1:, :, 1:].reshape(3 * n - 3, -1)).min() < -1e-3
+
+
+def transposed_poses(poses):
+    """[R t]' of poses in 2D, (n, 3, 2)."""
+    rotations = _core.rotation_matrices(poses).transpose(0, 2, 1)
+    return np.concatenate([rotations, poses[:, None, :2]], axis=1)
 
 
 def test_a_ring_twisted_once_is_untwisted():
@@ -266,7 +317,7 @@ def test_a_ring_twisted_once_is_untwisted():
     assert relaxed.gap(local.unknowns) == np.inf
     assert not relaxed.plausible(twisted(graph))
     top = relaxed.minimize_lifted(local.unknowns, decrease=1e-6, seed=0)
-    assert top.unknowns.shape[2] > 2
+    assert top.unknowns.shape[2] > local.unknowns.shape[2]
     assert top.cost < 1e-6
     assert np.allclose(relaxed.poses(top.unknowns), 0, atol=1e-3)
 

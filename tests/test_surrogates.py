@@ -149,14 +149,14 @@ def test_a_sensor_off_its_node_has_a_surrogate_too(dimension, seed):
     deficit = relaxation.surrogate.deficit
 
     def surrogate(poses):
-        return relaxation.cost(relaxation.unknowns(poses, dimension))
+        return relaxation.cost(relaxation.unknowns(poses))
 
     def matrix_form(poses):
-        x = relaxation.unknowns(poses, dimension)
+        x = relaxation.unknowns(poses)
         free = assembled.elimination.free_nodes()
-        own = x[free].reshape(-1, dimension)
-        f = relaxation._assemble(x).reshape(-1, dimension)
-        h = dense(relaxation._matrix, len(f), dimension + 1)
+        own = x[free].reshape(-1, x.shape[2])
+        f = relaxation._assemble(x).reshape(-1, x.shape[2])
+        h = dense(relaxation._matrix, len(f), 4)
         return np.sum(own * (h @ own - 2 * f))
 
     touched, form = surrogate(assembled.poses), matrix_form(assembled.poses)

@@ -12,6 +12,7 @@
 #include "relaxation/certificate.hpp"
 #include "relaxation/lifted.hpp"
 #include "relaxation/minimizer.hpp"
+#include "relaxation/pose_form.hpp"
 #include "sparse/graph_matrix.hpp"
 
 namespace masat {
@@ -19,13 +20,13 @@ namespace {
 
 using namespace nb::literals;
 
-// Calls f<D, P>() for a dimension and a rank.
+// Calls f<D, P>() for a rank, which tells the dimension.
 template <class F>
-auto with_rank(std::size_t dimension, std::size_t rank, F f) {
-  if (dimension == 2 && rank == 2) return f.template operator()<2, 2>();
-  if (dimension == 2 && rank == 4) return f.template operator()<2, 4>();
-  if (dimension == 3 && rank == 3) return f.template operator()<3, 3>();
-  require(dimension == 3 && rank == 4, "ranks are 2 and 4 in 2D, 3 and 4 in 3D");
+auto with_rank(std::size_t rank, F f) {
+  if (rank == 1) return f.template operator()<2, 1>();
+  if (rank == 2) return f.template operator()<2, 2>();
+  if (rank == 3) return f.template operator()<3, 3>();
+  require(rank == 4, "ranks are 1 and 2 in 2D, 3 and 4 in 3D");
   return f.template operator()<3, 4>();
 }
 
@@ -34,18 +35,31 @@ auto with_rank(std::size_t dimension, std::size_t rank, F f) {
 template <class F>
 void with_lifted(const GraphMatrix& matrix, const Stack& linear_term, double constant,
                  const Stack& x, F f) {
+  require(matrix.block_size() == kLiftedRows, "blocks must have four rows");
   check_rows(matrix, x);
   check_rows(matrix, linear_term);
   require(linear_term.shape(2) == x.shape(2), "x and the linear term must have as many columns");
-  with_rank(matrix.block_size() - 1, x.shape(2), [&]<int D, int P>() {
+  with_rank(x.shape(2), [&]<int D, int P>() {
     const nb::gil_scoped_release release;
     f(Lifted<D, P>(matrix, linear_term.data(), constant),
       std::vector<double>(x.data(), x.data() + x.size()));
   });
 }
 
-int lifted_block_size(int dimension, int rank) {
-  return with_rank(dimension, rank, []<int D, int P>() { return Lifted<D, P>::kDof; });
+Array<double> lifted_poses(const Table<double>& poses) {
+  const std::size_t n = poses.shape(0), size = kLiftedRows * kLiftedRows;
+  std::vector<double> out(n * size);
+  with_group(poses.shape(1), [&]<class Group>(Group*) {
+    for (std::size_t k = 0; k < n; ++k) {
+      Eigen::Map<LiftedBlock>{out.data() + k* size} =
+          lifted_pose(Group::load(poses.data() + k * Group::kSize));
+    }
+  });
+  return as_array(std::move(out), {n, kLiftedRows, kLiftedRows});
+}
+
+int lifted_block_size(std::size_t rank) {
+  return with_rank(rank, []<int D, int P>() { return Lifted<D, P>::kDof; });
 }
 
 // The unknowns, and -1 or the free node's index at which the minimization failed.
@@ -88,7 +102,8 @@ Array<std::int32_t> uncertified_nodes(const GraphMatrix& matrix, const Stack& li
 }  // namespace
 
 void bind_relaxation(nb::module_& m) {
-  m.def("lifted_block_size", &lifted_block_size, "dimension"_a, "rank"_a);
+  m.def("lifted_poses", &lifted_poses, "poses"_a);
+  m.def("lifted_block_size", &lifted_block_size, "rank"_a);
   m.def("minimize_lifted", &minimize_lifted, "matrix"_a, "linear_term"_a, "constant"_a, "initial"_a,
         "decrease"_a, "damping"_a, "steps"_a);
   m.def("certificate_gap", &certificate_gap, "matrix"_a, "linear_term"_a, "x"_a, "shift"_a,

@@ -34,7 +34,7 @@ class Certificate {
   // rows - margin |diag(S)| is positive definite. The margin covers the rounding of its
   // factorization. With y = x + d,
   //     cost(y) - cost(x) = 2 <g, d> + <d, S d> >= 2 <g, d> + <d, B d> - shift |its frames|^2,
-  // which is least at B d = -g; frames differ by at most 2 in each of their D rows.
+  // which is least at B d = -g; frames differ by at most 2 in each of their unit vectors.
   double gap(double shift, double margin) {
     std::vector<double> added = on_frames(shift), diagonal(s_.rows());
     s_.diagonal(diagonal.data());
@@ -42,7 +42,7 @@ class Certificate {
     if (s_.factorize(added) >= 0) return std::numeric_limits<double>::infinity();
     std::vector<double> solved = gradient_;
     s_.solve(solved, P);
-    double below = 4.0 * D * shift * nodes_;
+    double below = 4.0 * Problem::Frames::kUnits * shift * nodes_;
     for (std::size_t i = 0; i < solved.size(); ++i) below += gradient_[i] * solved[i];
     return std::isfinite(below) ? below : std::numeric_limits<double>::infinity();
   }

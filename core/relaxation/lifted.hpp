@@ -1,19 +1,25 @@
-// The lifted chordal problem of a pose graph: rotations as orthonormal frames of any rank.
+// The lifted chordal problem of a pose graph: rotations as frames of any rank.
 //
-// A free node's unknown is X = [Y t]', D + 1 rows of P numbers: D orthonormal ones, the frame, and
-// the translation. With P = D this is the chordal problem itself; local minima vanish as P grows.
-// The cost is <X, M X> - 2 <X, F> + constant: M over the free nodes, F the right-hand side from the
-// fixed ones. Source: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; here the translations
-// stay among the unknowns.
+// A free node's unknown is X, four rows of P numbers: those of its frame, then those of its
+// translation. In 3D X = [R t]', the frame three orthonormal rows and the translation one; in 2D,
+// where a rotation is a complex number of unit length and so is what a translation has for its two
+// coordinates, real and imaginary parts have a row each. With P = 3 in 3D and P = 1 in 2D this is
+// the chordal problem itself; local minima vanish as P grows. The cost is
+// <X, M X> - 2 <X, F> + constant: M over the free nodes, F the right-hand side from the fixed ones.
+// Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; in 2D Carlone, Calafiore,
+// Tommolillo, Dellaert, Planar pose graph optimization, IEEE T-RO 2016, and Fan, Wang, Rubenstein,
+// Murphey, CPL-SLAM, IEEE T-RO 2020. Here the translations stay among the unknowns.
 #pragma once
 
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <type_traits>
 #include <vector>
 
-#include "relaxation/stiefel.hpp"
+#include "relaxation/frames.hpp"
+#include "relaxation/pose_form.hpp"
 #include "sparse/graph_matrix.hpp"
 
 namespace masat {
@@ -22,11 +28,13 @@ namespace masat {
 template <int D, int P>
 class Lifted {
  public:
-  using Frames = Stiefel<D, P>;
+  using Frames = std::conditional_t<D == 2, ComplexUnit<P>, Stiefel<3, P>>;
   using Frame = typename Frames::Frame;
   using Square = typename Frames::Square;
-  // Rows of a node's unknown, its numbers, and the coordinates of its tangent space.
-  static constexpr int kRows = D + 1, kSize = kRows * P, kDof = Frames::kDof + P;
+  // Rows of a node's unknown, its numbers, those of its translation, and the coordinates of its
+  // tangent space. The frame has D rows.
+  static constexpr int kRows = kLiftedRows, kSize = kRows * P, kShifts = (kRows - D) * P,
+                       kDof = Frames::kDof + kShifts;
 
   // The matrix and the linear term F must outlive it.
   Lifted(const GraphMatrix& matrix, const double* linear_term, double constant)
@@ -55,10 +63,10 @@ class Lifted {
     return cost;
   }
 
-  // The Lagrange multiplier of the constraint that node k's frame is orthonormal.
+  // The Lagrange multiplier of the constraint on node k's frame.
   static Square multiplier(const std::vector<double>& x, const std::vector<double>& residual,
                            std::int32_t k) {
-    return Frames::symmetric(frame(residual, k), frame(x, k));
+    return Frames::multiplier(frame(residual, k), frame(x, k));
   }
 
   // A node whose numbers are not all finite, for a cost that is not.

@@ -114,7 +114,8 @@ class LiftedMinimizer {
 
   using Frames = typename Problem::Frames;
   using Frame = typename Problem::Frame;
-  static constexpr int kRows = Problem::kRows, kSize = Problem::kSize, kDof = Problem::kDof;
+  static constexpr int kRows = Problem::kRows, kSize = Problem::kSize, kShifts = Problem::kShifts,
+                       kDof = Problem::kDof;
   using Square = Eigen::Matrix<double, kRows, kRows>;
   using Column = Eigen::Matrix<double, kRows, 1>;
   using Turns = Eigen::Matrix<double, P, Frames::kDof>;
@@ -130,14 +131,15 @@ class LiftedMinimizer {
   // Moves the translations to their minimum for the frames; sets the residual and returns the cost.
   double solve_translations(std::vector<double>& x, std::vector<double>& residual) const {
     problem_.evaluate(x, residual);
-    std::vector<double> steps(std::int64_t{nodes_} * P);
+    std::vector<double> steps(std::int64_t{nodes_} * kShifts);
     for (std::int32_t k = 0; k < nodes_; ++k) {
-      std::copy_n(&residual[std::int64_t{k} * kSize + D * P], P, &steps[std::int64_t{k} * P]);
+      std::copy_n(&residual[std::int64_t{k} * kSize + D * P], kShifts,
+                  &steps[std::int64_t{k} * kShifts]);
     }
-    laplacian_.solve(steps, P);
+    laplacian_.solve(steps, kShifts);
     for (std::int32_t k = 0; k < nodes_; ++k) {
-      for (int i = 0; i < P; ++i) {
-        x[std::int64_t{k} * kSize + D * P + i] -= steps[std::int64_t{k} * P + i];
+      for (int i = 0; i < kShifts; ++i) {
+        x[std::int64_t{k} * kSize + D * P + i] -= steps[std::int64_t{k} * kShifts + i];
       }
     }
     return problem_.evaluate(x, residual);
@@ -158,9 +160,9 @@ class LiftedMinimizer {
     for (std::int32_t k = 0; k < nodes_; ++k) {
       const double* const own = &step[std::int64_t{k} * kDof];
       const Eigen::Map<const Eigen::Matrix<double, Frames::kDof, 1>> turn(own);
-      const Eigen::Map<const Eigen::Matrix<double, P, 1>> shift(own + Frames::kDof);
-      sum +=
-          turn.norm() * magnitude_[k].template head<D>().norm() + shift.norm() * magnitude_[k][D];
+      const Eigen::Map<const Eigen::Matrix<double, kShifts, 1>> shift(own + Frames::kDof);
+      sum += turn.norm() * magnitude_[k].template head<D>().norm() +
+             shift.norm() * magnitude_[k].template tail<kRows - D>().norm();
     }
     return kRounding * sum;
   }
@@ -174,8 +176,7 @@ class LiftedMinimizer {
 
   // The lengths of the rows of a node's unknown.
   static Column lengths(const std::vector<double>& x, std::int32_t k) {
-    using Rows = Eigen::Matrix<double, kRows, P, Eigen::RowMajor>;
-    return Eigen::Map<const Rows>(&x[std::int64_t{k} * kSize]).rowwise().norm();
+    return Eigen::Map<const RowByRow<kRows, P>>(&x[std::int64_t{k} * kSize]).rowwise().norm();
   }
 
   // Sets the gradient's negative half and half the Hessian in the coordinates of the tangent
@@ -187,10 +188,9 @@ class LiftedMinimizer {
       double* const out = &gradient_[std::int64_t{k} * kDof];
       Eigen::Map<Eigen::Matrix<double, Frames::kDof, 1>>{out}.noalias() =
           -basis_[k].transpose() * Eigen::Map<const Eigen::Matrix<double, D * P, 1>>(residual);
-      for (int i = 0; i < P; ++i) out[Frames::kDof + i] = -residual[D * P + i];
-      using Rows = Eigen::Matrix<double, kRows, P, Eigen::RowMajor>;
+      for (int i = 0; i < kShifts; ++i) out[Frames::kDof + i] = -residual[D * P + i];
       const double* const f = problem_.linear_term() + std::int64_t{k} * kSize;
-      magnitude_[k] = Eigen::Map<const Rows>(f).rowwise().norm();
+      magnitude_[k] = Eigen::Map<const RowByRow<kRows, P>>(f).rowwise().norm();
     }
     const BlockPattern& pattern = problem_.matrix().pattern();
     for (std::int32_t c = 0; c < nodes_; ++c) {
@@ -213,11 +213,14 @@ class LiftedMinimizer {
         Eigen::Map<Eigen::Matrix<double, kDof, kDof>> h(hessian_.block(e));
         h.template topLeftCorner<Frames::kDof, Frames::kDof>().noalias() =
             basis_[r].transpose() * turned;
-        h.template topRightCorner<Frames::kDof, P>() =
-            combine(basis_[r], m.template topRightCorner<D, 1>()).transpose();
-        h.template bottomLeftCorner<P, Frames::kDof>() =
-            combine(basis_[c], m.template bottomLeftCorner<1, D>().transpose());
-        h.template bottomRightCorner<P, P>() = m(D, D) * Eigen::Matrix<double, P, P>::Identity();
+        for (int i = D, at = Frames::kDof; i < kRows; ++i, at += P) {
+          h.template block<Frames::kDof, P>(0, at) =
+              combine(basis_[r], m.template block<D, 1>(0, i)).transpose();
+          h.template block<P, Frames::kDof>(at, 0) =
+              combine(basis_[c], m.template block<1, D>(i, 0).transpose());
+        }
+        h.template bottomRightCorner<kShifts, kShifts>() =
+            m(D, D) * Eigen::Matrix<double, kShifts, kShifts>::Identity();
       }
     }
   }
@@ -231,7 +234,7 @@ class LiftedMinimizer {
       double* const to = &out[std::int64_t{k} * kSize];
       Eigen::Map<Frame>{to} =
           Frames::orthonormal(Problem::frame(x, k) + Eigen::Map<const Frame>(turn.data()));
-      for (int i = 0; i < P; ++i) {
+      for (int i = 0; i < kShifts; ++i) {
         to[D * P + i] = x[std::int64_t{k} * kSize + D * P + i] + d[Frames::kDof + i];
       }
     }

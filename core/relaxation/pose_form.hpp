@@ -1,4 +1,4 @@
-// The chordal cost of a pose graph as a quadratic form.
+// The chordal cost of a pose graph as a quadratic form of its nodes' unknowns.
 #pragma once
 
 #include <Eigen/Core>
@@ -10,50 +10,74 @@
 
 namespace masat {
 
+// Rows of a node's unknown X, see lifted.hpp: in 3D [R t]', in 2D the complex numbers of the
+// rotation and of the translation, each a row of real and a row of imaginary parts.
+constexpr int kLiftedRows = 4;
+using LiftedBlock = Eigen::Matrix<double, kLiftedRows, kLiftedRows, Eigen::RowMajor>;
+
+// The matrix T of a relative pose z: a pose z ahead of the pose of X has the unknown T X. Its first
+// columns are the X of z itself.
+template <LieGroup Group>
+LiftedBlock lifted_pose(const Group& z) {
+  LiftedBlock out = LiftedBlock::Identity();
+  if constexpr (Group::kDimension == 2) {
+    out.topLeftCorner<2, 2>() = z.rotation();
+    const auto t = z.translation();
+    out.bottomLeftCorner<2, 2>() << t.x(), -t.y(), t.y(), t.x();
+  } else {
+    out.topLeftCorner<3, 3>() = z.rotation().transpose();
+    out.bottomLeftCorner<1, 3>() = z.translation().transpose();
+  }
+  return out;
+}
+
 // What an edge's rotation costs: a number an edge, or a d x d matrix A, which need not be
 // symmetric, row by row.
 struct RotationWeights {
   const double* values;
   bool matrices;
 
+  // The W for which <X, W Y> of two rotations' X and Y is <A, R_X' R_Y>.
   template <int D>
-  Eigen::Matrix<double, D, D, Eigen::RowMajor> at(std::int64_t edge) const {
+  Eigen::Matrix<double, D, D> at(std::int64_t edge) const {
     using Square = Eigen::Matrix<double, D, D, Eigen::RowMajor>;
-    if (matrices) return Eigen::Map<const Square>(values + edge * D * D);
-    return Square::Identity() * values[edge];
+    Square a = Square::Identity();
+    if (matrices) {
+      a = Eigen::Map<const Square>(values + edge * D * D);
+    } else {
+      a *= values[edge];
+    }
+    if constexpr (D == 2) {
+      const double curl = a(1, 0) - a(0, 1);
+      return (Square() << a.trace(), curl, -curl, a.trace()).finished();
+    }
+    return a;
   }
 };
 
 // Sets the matrix to the form
 //     2 tr(A) - 2 <A, R' R_i' R_j> + translation |t_j - t_i - R_i t|^2
-// of the unknowns X_i = [R_i t_i]', and adds the right-hand side from the fixed nodes to
-// `linear_term`. For A = kappa I the first two terms are kappa |R_j - R_i R|^2. The form has
-// (tr(A) / d) (|R_i|^2 + |R_j|^2) for 2 tr(A), which is the same for orthonormal frames. With
-// `offsets`, one an edge, an edge measures a sensor in the place of the node that it leads to.
+// of the unknowns X_i, and adds the right-hand side from the fixed nodes to `linear_term`. For
+// A = kappa I the first two terms are kappa |R_j - R_i R|^2. For 2 tr(A) the form has a multiple of
+// the squared lengths of both frames, which are the same for all rotations. With `offsets`, one an
+// edge, an edge measures a sensor in the place of the node that it leads to.
 template <LieGroup Group>
 void assemble_pose_form(GraphMatrix& matrix, const Topology& graph, const double* measurements,
                         RotationWeights rotation, const double* translation, const double* offsets,
                         const double* values, int columns, double* linear_term) {
-  constexpr int D = Group::kDimension, kRows = D + 1;
-  using Block = Eigen::Matrix<double, kRows, kRows, Eigen::RowMajor>;
+  constexpr int D = Group::kDimension;
   const auto m = static_cast<std::int64_t>(graph.edges().size());
   const typename Group::Table z(measurements, m);
   matrix.set_zero();
   for (std::int64_t k = 0; k < m; ++k) {
-    Block turn = Block::Identity();  // with zero cost, X_j = turn' X_i
-    turn.template topLeftCorner<D, D>() = z[k].rotation();
-    turn.template topRightCorner<D, 1>() = z[k].translation();
-    Block weight = Block::Identity() * translation[k], own = weight;
-    weight.template topLeftCorner<D, D>() = rotation.at<D>(k);
-    own.template topLeftCorner<D, D>().diagonal().setConstant(
-        weight.template topLeftCorner<D, D>().trace() / D);
-    const Block first = turn * own * turn.transpose();
-    Block joint = -turn * weight;
+    const LiftedBlock turn = lifted_pose<Group>(z[k]);
+    LiftedBlock weight = LiftedBlock::Identity() * translation[k], own = weight;
+    weight.topLeftCorner<D, D>() = rotation.at<D>(k);
+    own.topLeftCorner<D, D>().diagonal().setConstant(weight.topLeftCorner<D, D>().trace() / D);
+    const LiftedBlock first = turn.transpose() * own * turn;
+    LiftedBlock joint = -turn.transpose() * weight;
     if (offsets != nullptr) {
-      const Group offset = Group::load(offsets + k * Group::kSize);
-      Block at_sensor = Block::Identity();  // X of the sensor is at_sensor X_j
-      at_sensor.template topLeftCorner<D, D>() = offset.rotation().transpose();
-      at_sensor.template bottomLeftCorner<1, D>() = offset.translation().transpose();
+      const LiftedBlock at_sensor = lifted_pose(Group::load(offsets + k * Group::kSize));
       joint = (joint * at_sensor).eval();
       own = (at_sensor.transpose() * own * at_sensor).eval();
     }

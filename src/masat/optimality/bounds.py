@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from masat.arrays import Floats
+from masat.arrays import Floats, Indices
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimality.relaxation import Relaxation
@@ -61,6 +61,20 @@ def looks_global(graph: PoseGraph, chi2: float) -> bool:
         return False
 
 
+def doubtful_nodes(graph: PoseGraph) -> Indices:
+    """Return indices of nodes that move, some of them, wherever chi2 is lower than at a minimum.
+
+    Any poses at which they are all as at the graph's have no lower chi2: with these nodes fixed the
+    certificate holds. There are none where it holds for the whole graph.
+    """
+    assert graph.poses is not None
+    try:
+        surrogate = tangent_surrogate(graph, graph.poses)
+    except OptimizationError:
+        return np.arange(len(graph.ids), dtype=np.int32)
+    return Relaxation(graph, surrogate).doubtful_nodes(graph.poses)
+
+
 def lifted_bound(graph: PoseGraph, chi2: float, *, seed: int = 0) -> tuple[float, PoseGraph | None]:
     """Return a bound from a higher rank, and the graph at the poses that this rank is rounded to.
 
@@ -83,7 +97,7 @@ class Lifted(NamedTuple):
     ----------
     bound : float
         A bound on chi2.
-    unknowns : ndarray, (n, d + 1, p)
+    unknowns : ndarray, (n, 4, p)
         Those of the relaxation there.
     """
 
@@ -101,7 +115,7 @@ class TangentRelaxation:
         surrogate = tangent_surrogate(graph, graph.poses)
         self._chi2, self._touched = chi2, chi2 - surrogate.deficit
         self._relaxation = Relaxation(graph, surrogate)
-        self._unknowns = self._relaxation.unknowns(graph.poses, graph.dimension)
+        self._unknowns = self._relaxation.unknowns(graph.poses)
 
     def bound(self, allowed: tuple[float, ...]) -> float:
         """Return a bound that gives up one of some fractions of chi2, the first that holds."""

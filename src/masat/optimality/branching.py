@@ -25,16 +25,22 @@ from masat.optimizers import Result, optimize
 from masat.optimizers.equations import normal_equations
 from masat.progress import Progress
 
-# More pairs than these take too many boxes: 16 are enough for one pair, some hundreds for three.
-_MAX_PAIRS, _FEW_BOXES, _MAX_BOXES = 2, 16, 100
-# Boxes times the operations of a factorization at the higher rank: half a minute on one core.
-_MAX_OPERATIONS = 2e10
+# Pairs that divide a box, and boxes whose relaxation is minimized at a higher rank: more are not
+# worth their time. Most minima that can be proven take less than 20.
+_MAX_PAIRS, _MAX_LIFTED = 4, 60
+# Those times the operations of a factorization at that rank: about a minute on one core. Where
+# there is not enough for so many, none is begun.
+_MAX_OPERATIONS, _FEW_LIFTED = 6e10, 4
+# Boxes for each of those.
+_BOXES = 5
 _ITERATIONS = 60
 # Fractions of a box's chi2, its edges included, that a bound may give up, from the smallest on.
 _ALLOWED = (0.0, TIGHT / 10)
 _ALLOWED_LIFTED = (TIGHT / 10, 1e-5, 3e-5, 1e-4, 2e-4, 5e-4, 1e-3)
-# Determinant of the product of two nodes' frames at a higher rank above which they do not mix.
-_UNMIXED = 0.97
+# Length of the product of two nodes' frames at a higher rank above which they do not mix.
+_UNMIXED = 0.99
+# Radians: another pair divides a box only if all its arcs are narrower. Wide arcs bound little.
+_NARROW = 1.1
 # A smaller variance, as a fraction of those of the two nodes, is lost in rounding.
 _LOST = 1e-10
 
@@ -79,9 +85,9 @@ def branched_bound(
     Returns
     -------
     bound : float
-        0 if lower poses are met, and where it gives up: after too many boxes, at once in graphs of
-        some thousands of nodes where few would take too long, where more than two pairs mix, at the
-        end of the time budget, and where memory does not allow the higher rank.
+        0 if lower poses are met, and where it gives up: after too many boxes, at once in graphs
+        where few would take too long, where more than four pairs mix, at the end of the time
+        budget, and where memory does not allow the higher rank.
     lower : PoseGraph or None
         The graph at poses of a lower chi2.
     """
@@ -97,6 +103,8 @@ class _Branching:
         self._graph, self._poses, self._chi2, self._seed = graph, graph.poses, chi2, seed
         self._enough = chi2 * (1 - TIGHT / 4)
         self._stiffness: dict[Pair, float] = {}
+        affordable = _MAX_OPERATIONS / max(lifted_operations(graph), 1.0)
+        self._lifts_left = int(min(affordable, _MAX_LIFTED))
         self._equations = normal_equations(graph, 1)
         self._equations.linearize(graph.poses)
         self._is_minimum = self._equations.factorize(np.zeros_like(self._equations.rhs())) < 0
@@ -107,10 +115,9 @@ class _Branching:
     def bound(self) -> tuple[float, PoseGraph | None]:
         """See `branched_bound`."""
         waiting, lowest = [Box({}, self._poses)], self._chi2
-        affordable = _MAX_OPERATIONS / max(lifted_operations(self._graph), 1.0)
-        if affordable < _FEW_BOXES:
+        if self._lifts_left < _FEW_LIFTED:
             return 0.0, None
-        for _ in range(min(_MAX_BOXES, int(affordable)) + 1):
+        for _ in range(_BOXES * self._lifts_left):
             if not waiting:
                 return lowest, None
             if self._progress.over or not self._is_minimum:
@@ -148,6 +155,9 @@ class _Branching:
         bound = relaxation.bound(_ALLOWED) - exceeds
         if bound >= self._enough:
             return bound
+        if self._lifts_left == 0:
+            return None
+        self._lifts_left -= 1
         allowed = [a for a in _ALLOWED_LIFTED[1:] if a * result.chi2 < slack]
         try:
             lifted = relaxation.lifted(self._seed, (_ALLOWED_LIFTED[0], *allowed))
@@ -157,9 +167,12 @@ class _Branching:
             return None
         if lifted.bound - exceeds >= self._enough:
             return lifted.bound - exceeds
-        pair, determinant = _most_mixed(lifted.unknowns)
+        nearer = self._lower_in(box, result.chi2, relaxation.rounded(lifted.unknowns))
+        if nearer is not None:
+            return [nearer]
+        pair, length = _most_mixed(lifted.unknowns)
         if pair not in box.arcs:
-            if determinant > _UNMIXED and box.arcs:
+            if box.arcs and (length > _UNMIXED or _width(box) > _NARROW):
                 return self._divided(box, self._widest(box), result.poses)
             if len(box.arcs) == _MAX_PAIRS or not self._is_loose(pair):
                 return None
@@ -167,6 +180,14 @@ class _Branching:
             arcs = {**box.arcs, pair: (middle - np.pi, middle + np.pi)}
             box = box._replace(arcs=arcs)
         return self._divided(box, pair, result.poses)
+
+    def _lower_in(self, box: Box, chi2: float, rounded: PoseGraph | None) -> Box | None:
+        """Return a box again, to begin at rounded poses, if these lead to a lower minimum of it."""
+        if rounded is None or rounded.poses is None:
+            return None
+        again = box._replace(poses=rounded.poses)
+        found = self._minimum(again)
+        return again._replace(poses=found.poses) if found.chi2 < chi2 * (1 - TIGHT) else None
 
     def _divided(self, box: Box, pair: Pair, poses: Floats) -> list[Box]:
         """Return the boxes that divide an arc: in three around the minimum, or in two."""
@@ -221,31 +242,34 @@ class _Branching:
         return self._stiffness[pair]
 
 
+def _width(box: Box) -> float:
+    """Return the width of a box's widest arc."""
+    return max(last - first for first, last in box.arcs.values())
+
+
 def _most_mixed(unknowns: Floats) -> tuple[Pair, float]:
-    """Return nodes whose relative rotation is mixed from several, and the determinant of that.
+    """Return nodes whose relative rotation is mixed from several, and how much it is.
 
     Parameters
     ----------
-    unknowns : ndarray, (n, 3, p)
+    unknowns : ndarray, (n, 4, p)
         Of a relaxation at the rank p.
 
     Returns
     -------
     pair : tuple of int
         Indices of the nodes, in ascending order.
-    determinant : float
+    length : float
         That of the product of their frames: 1 if it is a rotation.
     """
-    frames = unknowns[:, :2]
-    flat = frames.reshape(-1, frames.shape[2])
-    _, vectors = np.linalg.eigh(flat.T @ flat)
-    across = np.square(frames @ vectors[:, :-2]).sum(axis=(1, 2))
+    frames = unknowns[:, 0] + 1j * unknowns[:, 1]
+    _, vectors = np.linalg.eigh(frames.conj().T @ frames)
+    across = np.square(np.abs(frames @ vectors[:, :-1])).sum(axis=1)
     one = other = int(np.argmax(across))
-    determinant = 1.0
+    length = 1.0
     # Each node looks for its own counterpart in turn.
     for _ in range(3):
-        products = np.einsum("ak,nbk->nab", frames[one], frames)
-        determinants = np.linalg.det(products)
-        one, other = int(np.argmin(determinants)), one
-        determinant = float(determinants[one])
-    return (min(one, other), max(one, other)), determinant
+        products = np.abs(frames @ frames[one].conj())
+        one, other = int(np.argmin(products)), one
+        length = float(products[one])
+    return (min(one, other), max(one, other)), length

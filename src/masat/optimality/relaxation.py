@@ -1,7 +1,15 @@
 """The relaxation of a surrogate cost to frames of a higher rank, its minima and its bounds.
 
-Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Boumal, A Riemannian low-rank
-method for optimization over semidefinite matrices, 2015.
+The unknown X of a node has four rows of p numbers: those of its frame, then those of its
+translation. In 3D X = [Y t]', with an orthonormal frame of three rows; poses have p = 3. In 2D a
+rotation is a complex number of unit length, a frame p of them whose squared lengths sum to one, and
+a translation p complex numbers, real and imaginary parts a row each; poses have p = 1. As matrices
+of two rows the rotations would have a weaker relaxation, to which a reflection is a rotation too.
+
+Sources: Rosen, Carlone, Bandeira, Leonard, SE-Sync, IJRR 2019; Carlone, Calafiore, Tommolillo,
+Dellaert, Planar pose graph optimization: duality, optimal solutions, and verification, IEEE T-RO
+2016; Fan, Wang, Rubenstein, Murphey, CPL-SLAM, IEEE T-RO 2020; Boumal, A Riemannian low-rank method
+for optimization over semidefinite matrices, 2015.
 """
 
 from __future__ import annotations
@@ -26,9 +34,10 @@ _PLAUSIBLE, _UNCERTIFIED, _REFUTED = 5e-4, 0.02, 0.2
 # its factorization may hide.
 _ROUNDING_MARGIN = 1e-13
 _POLISHING_STEPS = 60
-# In 2D two more dimensions leave local minima that one does not; in 3D the blocks of a second one
-# would be too large.
-_LIFTED_RANK = 4
+# Numbers of a row, by dimension: of poses, and where the relaxation is minimized.
+_RANK, _LIFTED_RANK = {2: 1, 3: 3}, {2: 2, 3: 4}
+# Rows of an unknown.
+_ROWS = 4
 _NOISE = 0.3
 # A step at the higher rank that promises less than this fraction of the cost is the last one
 # before poses are rounded. Fewer steps leave poses from which as many lower minima are found.
@@ -43,8 +52,8 @@ class Point:
 
     Attributes
     ----------
-    unknowns : ndarray, (n, d + 1, p)
-        X_i = [Y_i t_i]': an orthonormal frame of d rows of p numbers, and a translation.
+    unknowns : ndarray, (n, 4, p)
+        The X of each node: a frame of d rows, then its translation.
     cost : float
         Their cost, without the surrogate's constant.
     """
@@ -71,7 +80,7 @@ class Relaxation:
         self.surrogate = surrogate or chordal_surrogate(graph)
         self._free = graph.elimination.free_nodes()
         self._fixed = graph.index(graph.gauge)
-        self._matrix = _core.GraphMatrix(graph.elimination, graph.dimension + 1)
+        self._matrix = _core.GraphMatrix(graph.elimination, _ROWS)
         rotation = self.surrogate.rotation
         if rotation.ndim == 3:
             rotation = np.linalg.norm(rotation, axis=(1, 2)) / graph.dimension**0.5
@@ -83,29 +92,22 @@ class Relaxation:
         """Return the cost of unknowns, summed over the edges."""
         d, (z, a, tau, _) = self.graph.dimension, self.surrogate
         i, j = self.graph.edge_indices.T
-        y_i, t_i, y_j, t_j = x[i, :d], x[i, d], x[j, :d], x[j, d]
+        ahead, there = _core.lifted_poses(z) @ x[i], x[j]
         offsets = self.graph.sensor_offsets
         if offsets is not None:
-            t_j = t_j + (offsets[:, None, :d] @ y_j)[:, 0]
-            y_j = _core.rotation_matrices(offsets).transpose(0, 2, 1) @ y_j
-        turn = _core.rotation_matrices(z)
-        moved = t_i + (z[:, None, :d] @ y_i)[:, 0]
-        cost = float(tau @ np.square(t_j - moved).sum(axis=1))
+            there = _core.lifted_poses(offsets) @ there
+        cost = float(tau @ np.square(there[:, d:] - ahead[:, d:]).sum(axis=(1, 2)))
+        # A rotation matrix has the squared length d, the frames of poses that of their unit rows.
+        scale = d / _RANK[d]
         if a.ndim == 1:
-            turned = turn.transpose(0, 2, 1) @ y_i
-            return cost + float(a @ np.square(y_j - turned).sum(axis=(1, 2)))
-        own = np.square(y_i).sum(axis=(1, 2)) + np.square(y_j).sum(axis=(1, 2))
-        joint = np.einsum("kab,kac,kbc->k", turn @ a, y_i, y_j)
-        scale = np.einsum("kii->k", a) / d
-        return cost + float(scale @ own - 2 * joint.sum())
+            return cost + scale * float(a @ np.square(there[:, :d] - ahead[:, :d]).sum(axis=(1, 2)))
+        own = np.square(there[:, :d]).sum(axis=(1, 2)) + np.square(x[i, :d]).sum(axis=(1, 2))
+        joint = np.einsum("kab,kac,kbc->k", a, ahead[:, :d], there[:, :d])
+        return cost + float(np.einsum("kii->k", a) / d @ own - 2 * joint.sum())
 
-    def unknowns(self, poses: Floats, rank: int) -> Floats:
-        """Return the unknowns of poses, (n, d + 1, rank)."""
-        d = self.graph.dimension
-        x = np.zeros((len(poses), d + 1, rank))
-        x[:, :d, :d] = linear.transposed_rotations(poses)
-        x[:, d, :d] = poses[:, :d]
-        return x
+    def unknowns(self, poses: Floats) -> Floats:
+        """Return the unknowns of poses, (n, 4, p)."""
+        return np.ascontiguousarray(_core.lifted_poses(poses)[:, :, : _RANK[self.graph.dimension]])
 
     def minimize(self, x: Floats, *, decrease: float, damping: float, steps: int = 100) -> Point:
         """Descend from x until a Newton step promises less than a fraction of the cost."""
@@ -130,26 +132,28 @@ class Relaxation:
 
     def polish(self, poses: Floats) -> Point:
         """Descend from poses, at their own rank."""
-        x = self.unknowns(poses, self.graph.dimension)
-        return self.minimize(x, decrease=1e-7, damping=1e-2, steps=_POLISHING_STEPS)
+        return self.minimize(
+            self.unknowns(poses), decrease=1e-7, damping=1e-2, steps=_POLISHING_STEPS
+        )
 
     def can_lift(self) -> bool:
         """Whether memory allows a higher rank."""
-        size = _core.lifted_block_size(self.graph.dimension, _LIFTED_RANK)
+        size = _core.lifted_block_size(_LIFTED_RANK[self.graph.dimension])
         return 8 * self.graph.elimination.fill(size) <= _MAX_FACTOR_BYTES
 
     def lift(self, x: Floats, rng: np.random.Generator) -> Floats:
         """Return unknowns of a higher rank, the new columns filled with smooth noise."""
         d, old = self.graph.dimension, x.shape[2]
-        out = np.zeros((*x.shape[:2], _LIFTED_RANK))
+        rank = _LIFTED_RANK[d]
+        out = np.zeros((*x.shape[:2], rank))
         out[:, :, :old] = x
         self._assemble(out)
-        damping = np.zeros((len(self._free), d + 1))
+        damping = np.zeros((len(self._free), _ROWS))
         damping[:, :d] = (5e-4 * self._scale + self._excess()[self._free])[:, None]
         failed = self._matrix.factorize(damping.ravel())
         if failed >= 0:
             raise linear.undetermined(self.graph, int(self._free[failed]))
-        noise = rng.normal(size=(len(self._free), d + 1, _LIFTED_RANK - old))
+        noise = rng.normal(size=(len(self._free), _ROWS, rank - old))
         smooth = self._matrix.solve(noise)
         out[self._free, :, old:] = smooth * (_NOISE / np.sqrt(np.square(smooth[:, :d]).mean()))
         return out
@@ -177,7 +181,7 @@ class Relaxation:
 
         Parameters
         ----------
-        x : ndarray, (n, d + 1, p)
+        x : ndarray, (n, 4, p)
             Unknowns near a minimum.
         allowed : float
             How much of the cost may be spent on a certificate matrix that fails by little: it is
@@ -186,12 +190,16 @@ class Relaxation:
         if len(self._free) == 0:
             return 0.0
         own = np.ascontiguousarray(x[self._free])
-        shift = allowed / (4 * self.graph.dimension * len(self._free))
+        shift = allowed / (4 * _RANK[self.graph.dimension] * len(self._free))
         return _core.certificate_gap(self._matrix, self._assemble(x), own, shift, _ROUNDING_MARGIN)
 
     def plausible(self, poses: Floats) -> bool:
         """Whether a minimum looks global, without a proof: its certificate fails by little."""
         return len(self._failing(poses, _PLAUSIBLE)) == 0
+
+    def doubtful_nodes(self, poses: Floats) -> Indices:
+        """Return indices of nodes, one or more wherever the certificate of a minimum fails."""
+        return self._free[self._failing(poses, 0.0)]
 
     def uncertified_nodes(self, poses: Floats) -> Indices:
         """Return indices of nodes, one or more wherever the certificate of a minimum fails."""
@@ -204,31 +212,35 @@ class Relaxation:
     def _failing(self, poses: Floats, fraction: float) -> Indices:
         if len(self._free) == 0:
             return self._free
-        x = self.unknowns(poses, self.graph.dimension)
+        x = self.unknowns(poses)
         own = np.ascontiguousarray(x[self._free])
         return _core.uncertified_nodes(self._matrix, self._assemble(x), own, fraction * self._scale)
 
     def poses(self, x: Floats) -> Floats:
         """Return the poses nearest to unknowns of any rank, (n, 3) or (n, 7)."""
         d = self.graph.dimension
-        flat = x
-        if x.shape[2] > d:
-            frames = x[:, :d].reshape(-1, x.shape[2])
-            _, vectors = np.linalg.eigh(frames.T @ frames)
-            flat = x @ vectors[:, : -d - 1 : -1]
-            if np.count_nonzero(np.linalg.det(flat[:, :d]) > 0) < len(flat) / 2:
-                flat[:, :, -1] *= -1
-            # The fixed nodes' frames lie in the first d columns: turn the rest back to them.
+        rank, fixed = _RANK[d], self._fixed
+        # In 2D a row each of the rotations and the translations, of complex numbers.
+        flat = x[:, ::2] + 1j * x[:, 1::2] if d == 2 else x
+        held = flat[fixed, :rank, :rank]
+        if x.shape[2] > rank:
+            frames = flat[:, :rank].reshape(-1, x.shape[2])
+            _, vectors = np.linalg.eigh(frames.conj().T @ frames)
+            projected = flat @ vectors[:, : -rank - 1 : -1]
+            if d == 3 and np.count_nonzero(np.linalg.det(projected[:, :d]) > 0) < len(x) / 2:
+                projected[:, :, -1] *= -1
+            # The fixed nodes' frames lie in the first columns: turn the rest back to them.
             left, _, right = np.linalg.svd(
-                np.einsum("kij,kil->jl", flat[self._fixed, :d], x[self._fixed, :d, :d])
+                np.einsum("kij,kil->jl", projected[fixed, :rank].conj(), held)
             )
-            flat = flat @ (left @ right)
-        initial = np.zeros((len(x), 3 if d == 2 else 7))
-        initial[:, :d] = flat[:, d]
-        frames = np.ascontiguousarray(x[self._fixed, :d, :d].transpose(0, 2, 1))
-        initial[self._fixed] = _core.nearest_rotations(frames)
-        initial[self._fixed, :d] = x[self._fixed, d, :d]
-        return linear.nearest_rotations(self.graph, initial, np.ascontiguousarray(flat[:, :d]))
+            flat = projected @ (left @ right)
+        if d == 2:
+            heading = np.angle(flat[:, 0, 0])
+            poses = np.column_stack([flat[:, 1, 0].real, flat[:, 1, 0].imag, heading])
+        else:
+            poses = _core.nearest_rotations(np.ascontiguousarray(flat[:, :d].transpose(0, 2, 1)))
+            poses[:, :d] = flat[:, d]
+        return poses
 
     def _assemble(self, x: Floats) -> Floats:
         """Set the matrix; return the linear term, which comes from the fixed nodes."""
@@ -239,7 +251,7 @@ class Relaxation:
 
 def lifted_operations(graph: PoseGraph) -> float:
     """Return the operations of a factorization at the higher rank."""
-    return graph.elimination.operations(_core.lifted_block_size(graph.dimension, _LIFTED_RANK))
+    return graph.elimination.operations(_core.lifted_block_size(_LIFTED_RANK[graph.dimension]))
 
 
 def polish(graph: PoseGraph) -> Floats:
@@ -273,7 +285,7 @@ def lift(graph: PoseGraph, *, seed: int = 0) -> Floats:
     relaxation = Relaxation(graph)
     if not relaxation.can_lift():
         return graph.poses
-    x = relaxation.unknowns(graph.poses, graph.dimension)
+    x = relaxation.unknowns(graph.poses)
     top = relaxation.minimize_lifted(x, decrease=_LIFTED_DECREASE, seed=seed)
     return solve_translations(graph, _with_fixed(graph, relaxation.poses(top.unknowns)))
 

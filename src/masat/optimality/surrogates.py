@@ -154,7 +154,7 @@ def _representable(graph: PoseGraph) -> _Part:
     held[:, d:, d:] = blocks[mixed]
     # The largest multiple of D that W dominates: below one only if W couples the two.
     split = held.copy()
-    split[alone] = own[alone] = np.eye(len(w[0]))
+    split[alone] = own[alone] = np.eye(w.shape[1])
     inverse_root = np.linalg.inv(np.linalg.cholesky(split))
     ratios = np.linalg.eigvalsh(inverse_root @ own @ inverse_root.transpose(0, 2, 1))
     own = w[mixed]

@@ -1,4 +1,4 @@
-// The tangent space of a node's lifted pose: orthonormal coordinates for its frame.
+// The frame of a node's lifted pose, and orthonormal coordinates of its tangent space.
 #pragma once
 
 #include <Eigen/Core>
@@ -6,17 +6,24 @@
 
 namespace masat {
 
-// A frame is D orthonormal rows of P numbers; its tangent space has kDof dimensions.
+// A matrix that is stored row by row: a column is so in either order, and has to be column-major.
+template <int Rows, int Columns>
+using RowByRow =
+    Eigen::Matrix<double, Rows, Columns, Columns == 1 ? Eigen::ColMajor : Eigen::RowMajor>;
+
+// A frame is D orthonormal rows of P numbers; its tangent space has kDof dimensions, and it is
+// kUnits vectors of unit length.
 template <int D, int P>
 struct Stiefel {
-  static constexpr int kTurns = D * (D - 1) / 2, kDof = kTurns + D * (P - D);
-  using Frame = Eigen::Matrix<double, D, P, Eigen::RowMajor>;
+  static constexpr int kTurns = D * (D - 1) / 2, kDof = kTurns + D * (P - D), kUnits = D;
+  using Frame = RowByRow<D, P>;
   using Square = Eigen::Matrix<double, D, D>;
   // Each column is a change of the frame, row by row.
   using Basis = Eigen::Matrix<double, D * P, kDof>;
 
-  static Square symmetric(const Frame& a, const Frame& b) {
-    const Square product = a * b.transpose();
+  // The Lagrange multiplier of the constraint on a frame y, for a gradient there.
+  static Square multiplier(const Frame& gradient, const Frame& y) {
+    const Square product = gradient * y.transpose();
     return (product + product.transpose()) / 2;
   }
 
@@ -55,6 +62,28 @@ struct Stiefel {
       y.row(i).normalize();
     }
     return y;
+  }
+};
+
+// A frame is P complex numbers whose squared lengths sum to one: a row of real parts and a row of
+// imaginary ones.
+template <int P>
+struct ComplexUnit {
+  using Flat = Stiefel<1, 2 * P>;
+  static constexpr int kDof = Flat::kDof, kUnits = 1;
+  using Frame = RowByRow<2, P>;
+  using Square = Eigen::Matrix2d;
+  using Basis = typename Flat::Basis;
+
+  static Square multiplier(const Frame& gradient, const Frame& y) {
+    return gradient.cwiseProduct(y).sum() * Square::Identity();
+  }
+  static Basis basis(const Frame& y) { return Flat::basis(flat(y)); }
+  static Frame orthonormal(const Frame& y) { return y / y.norm(); }
+
+ private:
+  static Eigen::Map<const typename Flat::Frame> flat(const Frame& y) {
+    return Eigen::Map<const typename Flat::Frame>(y.data());
   }
 };
 
