@@ -44,7 +44,7 @@ def shift_cycles(graph, monkeypatch):
     """Return what shifts alone make of a graph."""
     monkeypatch.setattr(trials, "lift", lambda part, **_: part.poses)
     search = searching._Search(graph, 0, Progress(), normal_equations(graph))
-    return search, search.at_cycles()
+    return search, search.at_cycles(search.doubtful_nodes())
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
 from masat.optimality.bounds import looks_global
 from masat.optimality.cycles import AmbiguousCycles, rotation_residuals, rotation_weight
-from masat.optimality.relaxation import Relaxation, lift, lifted_operations
+from masat.optimality.relaxation import Relaxation
 from masat.optimality.search import lower_minimum
 from masat.optimizers import Iteration, Result, optimize
 from masat.optimizers.equations import Equations, normal_equations
@@ -28,9 +28,6 @@ from masat.progress import Progress
 _FEW_ITERATIONS = 15
 # So is one whose chi2 rises so often; the first steps from the chordal guess mostly go too far.
 _MOST_RISES = 2
-# Operations of a factorization at a higher rank up to which all nodes are lifted first, in 2D: some
-# tenths of a second on one core.
-_CHEAP_LIFT = 1.5e8
 # Changes of chi2 below this fraction are near enough to a minimum for the check and for the search.
 _FIRST_TOLERANCE = 1e-4
 # After so many iterations chi2 of a graph without false edges is no more too large by this factor.
@@ -84,10 +81,9 @@ def best_minimum(
 ) -> Minimum:
     """Optimize a guess, check whether the minimum looks global, and search on where it does not.
 
-    Gauss-Newton leads to a first minimum, or the dogleg method where that takes many iterations, in
-    2D after all nodes have been lifted to a higher rank and rounded back if that is cheap. If the
-    certificate of the chordal cost fails by little, or chi2 itself is certified, the search ends.
-    If not, `lower_minimum` searches around the doubtful parts.
+    Gauss-Newton leads to a first minimum, or the dogleg method where that takes many iterations. If
+    chi2 itself is certified, or the certificate of the chordal cost fails by little, the search
+    ends. If not, `lower_minimum` searches around the doubtful parts.
 
     In 3D the search also takes parts of the minima near other initial guesses, `starts`.
 
@@ -126,7 +122,7 @@ def best_minimum(
         ):
             return _without_search(guess, progress)
         is_small = _search_operations(guess) <= _AFFORDABLE
-        near = _first_minimum(guess, seed, equations, progress, stop_if_wrong=not is_small)
+        near = _first_minimum(guess, equations, progress, stop_if_wrong=not is_small)
         is_wrong = not progress.over and cannot_be_right(near.graph, near.chi2)
         minima = [near]
         if is_wrong:
@@ -185,12 +181,12 @@ def _poses(graph: PoseGraph) -> Floats:
 def _is_plausible(near: Result) -> bool:
     """Whether a minimum looks global.
 
-    Either no cycle is ambiguous and the chordal certificate fails by little, or that of chi2 holds.
+    Either the certificate of chi2 holds, or no cycle is ambiguous and the chordal one fails by
+    little.
     """
-    plausible = Relaxation(near.graph).plausible(near.poses)
-    if plausible and not _may_be_ambiguous(near):
+    if looks_global(near.graph, near.chi2):
         return True
-    return looks_global(near.graph, near.chi2)
+    return Relaxation(near.graph).plausible(near.poses) and not _may_be_ambiguous(near)
 
 
 def _may_be_ambiguous(near: Result) -> bool:
@@ -246,7 +242,6 @@ def _minima(
 
 def _first_minimum(
     guess: PoseGraph,
-    seed: int,
     equations: _core.NormalEquations,
     progress: Progress,
     stop_if_wrong: bool,
@@ -260,25 +255,13 @@ def _first_minimum(
     )
     if quick.converged or progress.over or watch.is_wrong:
         return quick
-    start = guess
-    try:
-        # In 3D it is the search that needs parts of many minima, and lifts all nodes at its end.
-        if guess.dimension == 2 and lifted_operations(guess) <= _CHEAP_LIFT:
-            progress.tell("lifting all nodes")
-            start = guess.with_poses(lift(guess, seed=seed))
-    except InitializationError:
-        # The chordal problem may leave open what chi2 determines.
-        pass
-    except KeyboardInterrupt:
-        progress.interrupt()
-        return quick
     # In 3D projected steps lead to higher minima.
     own: Equations = equations
     if guess.dimension == 2:
         with suppress(InitializationError):
             own = ProjectedEquations(equations, BestTranslations(guess))
     # Gauss-Newton may have ended anywhere, even where chi2 is not finite.
-    safe = run(start, "dogleg", equations=own)
+    safe = run(guess, "dogleg", equations=own)
     return min(safe, quick, key=lambda minimum: minimum.chi2)
 
 

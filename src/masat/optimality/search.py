@@ -11,6 +11,7 @@ import numpy as np
 from masat import _core
 from masat.arrays import Flags, Floats, Indices
 from masat.graph import PoseGraph
+from masat.optimality.bounds import doubtful_nodes
 from masat.optimality.cycles import (
     LONG,
     AmbiguousCycles,
@@ -122,7 +123,10 @@ def lower_minimum(
             lower = lower or search.at_uncertified_nodes()
             if not lower and not progress.over:
                 search.lowest.converge()
-                lower = search.at_cycles() or search.at_wider_parts()
+                doubtful = search.doubtful_nodes()
+                if len(doubtful) == 0:
+                    break
+                lower = search.at_cycles(doubtful) or search.at_wider_parts()
             if progress.over or not lower:
                 break
             search.lowest.converge(_FIRST_TOLERANCE)
@@ -174,6 +178,10 @@ class _Search:
     def _strings(self) -> Strings:
         return Strings(self._graph)
 
+    def doubtful_nodes(self) -> Indices:
+        """Return indices of nodes of which some move wherever chi2 is lower, see `bounds`."""
+        return doubtful_nodes(self._graph.with_poses(self.poses))
+
     def at_uncertified_nodes(self) -> bool:
         """Lift what is around uncertified nodes; return whether that lowered chi2."""
         graph = self._graph
@@ -187,8 +195,11 @@ class _Search:
         self._progress.tell(f"searching in {len(parts)} uncertified parts", self.chi2)
         return sum(self._lift_if_new(part) for part in parts) > 0
 
-    def at_cycles(self) -> bool:
-        """Shift the ambiguous cycles, most by 2 pi; return whether that lowered chi2."""
+    def at_cycles(self, doubtful: Indices) -> bool:
+        """Shift the ambiguous cycles, most by 2 pi; return whether that lowered chi2.
+
+        Only those around doubtful nodes, of which some move wherever chi2 is lower.
+        """
         cycles = list(islice(self._cycles.at(self.poses), self._cycles_left))
         long = [cycle for cycle in cycles if len(cycle.edges) >= LONG]
         soft = [cycle for cycle in cycles if len(cycle.edges) >= _SOFT]
@@ -220,6 +231,8 @@ class _Search:
                 if len(cycle.edges) >= LONG:
                     nodes |= cycle.nodes
             where = neighborhood(self._graph, nodes)
+            if not where[doubtful].any():
+                continue
             cuts = [None, *(cut_edges(shifts[0][0]) if shifts[0][1] == 0 else ())]
             own = np.array([cycle.edge for cycle, _ in shifts])
             by = np.array([2 * np.pi * turns * cycle.axis for cycle, turns in shifts])
