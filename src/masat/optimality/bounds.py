@@ -62,16 +62,19 @@ def looks_global(graph: PoseGraph, chi2: float) -> bool:
 
 
 def doubtful_nodes(graph: PoseGraph) -> Indices:
-    """Return indices of nodes that move, some of them, wherever chi2 is lower than at a minimum.
+    """Return indices of nodes of which one or more move wherever chi2 is lower than at a minimum.
 
-    Any poses at which they are all as at the graph's have no lower chi2: with these nodes fixed the
-    certificate holds. There are none where it holds for the whole graph.
+    With them fixed the certificate holds. There are none where it holds for the whole graph, and
+    all are doubtful where no surrogate touches chi2 at the graph's poses.
     """
     assert graph.poses is not None
+    everywhere = np.arange(len(graph.ids), dtype=np.int32)
     try:
         surrogate = tangent_surrogate(graph, graph.poses)
     except OptimizationError:
-        return np.arange(len(graph.ids), dtype=np.int32)
+        return everywhere
+    if surrogate.deficit > TIGHT * graph.chi2:
+        return everywhere
     return Relaxation(graph, surrogate).doubtful_nodes(graph.poses)
 
 

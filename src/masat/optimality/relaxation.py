@@ -198,7 +198,7 @@ class Relaxation:
         return len(self._failing(poses, _PLAUSIBLE)) == 0
 
     def doubtful_nodes(self, poses: Floats) -> Indices:
-        """Return indices of nodes, one or more wherever the certificate of a minimum fails."""
+        """Return indices of nodes with which fixed the certificate of a minimum holds."""
         return self._free[self._failing(poses, 0.0)]
 
     def uncertified_nodes(self, poses: Floats) -> Indices:
