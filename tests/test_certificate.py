@@ -99,6 +99,16 @@ def test_no_poses_lie_below_a_bound(dimension, seed):
         assert lowest >= proof.chi2 * (1 - 1e-6)
 
 
+@pytest.mark.parametrize(("make", "sigma", "seed"), [(manhattan, 0.3, 0), (sphere, 0.4, 1)])
+def test_a_better_map_keeps_the_fixed_nodes_where_they_are(make, sigma, seed):
+    world = make(200, seed=1)
+    graph = perturb(world, [sigma] * world.dof, seed=seed).with_fixed([3, 150])
+    local = masat.optimize(masat.initialize(graph, "odometry"), "levenberg_marquardt").graph
+    found = certify(local)
+    assert found.status == "refuted"
+    assert np.allclose(found.better.poses[[3, 150]], graph.poses[[3, 150]], rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_with_doubtful_nodes_fixed_a_minimum_is_certified(dimension):
     met = 0

@@ -222,24 +222,24 @@ class Relaxation:
         rank, fixed = _RANK[d], self._fixed
         # In 2D a row each of the rotations and the translations, of complex numbers.
         flat = x[:, ::2] + 1j * x[:, 1::2] if d == 2 else x
-        held = flat[fixed, :rank, :rank]
+        held = flat[fixed, :, :rank]
         if x.shape[2] > rank:
             frames = flat[:, :rank].reshape(-1, x.shape[2])
             _, vectors = np.linalg.eigh(frames.conj().T @ frames)
-            projected = flat @ vectors[:, : -rank - 1 : -1]
-            if d == 3 and np.count_nonzero(np.linalg.det(projected[:, :d]) > 0) < len(x) / 2:
-                projected[:, :, -1] *= -1
+            flat = flat @ vectors[:, : -rank - 1 : -1]
+            if d == 3 and np.count_nonzero(np.linalg.det(flat[:, :d]) > 0) < len(x) / 2:
+                flat[:, :, -1] *= -1
             # The fixed nodes' frames lie in the first columns: turn the rest back to them.
             left, _, right = np.linalg.svd(
-                np.einsum("kij,kil->jl", projected[fixed, :rank].conj(), held)
+                np.einsum("kij,kil->jl", flat[fixed, :rank].conj(), held[:, :rank])
             )
-            flat = projected @ (left @ right)
+            flat = flat @ (left @ right)
+        flat[fixed] = held
         if d == 2:
-            heading = np.angle(flat[:, 0, 0])
-            poses = np.column_stack([flat[:, 1, 0].real, flat[:, 1, 0].imag, heading])
-        else:
-            poses = _core.nearest_rotations(np.ascontiguousarray(flat[:, :d].transpose(0, 2, 1)))
-            poses[:, :d] = flat[:, d]
+            rotation, translation = flat[:, 0, 0], flat[:, 1, 0]
+            return np.column_stack([translation.real, translation.imag, np.angle(rotation)])
+        poses = _core.nearest_rotations(np.ascontiguousarray(flat[:, :d].transpose(0, 2, 1)))
+        poses[:, :d] = flat[:, d]
         return poses
 
     def _assemble(self, x: Floats) -> Floats:

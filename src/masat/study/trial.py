@@ -17,7 +17,7 @@ THRESHOLD = 1e-6
 """Largest change of chi2 at convergence: relative, the default of g2o, or absolute."""
 
 # A relative change of chi2 that is no larger is rounding, whether chi2 rises or falls.
-_ROUNDING = 1e-12
+_ROUNDING = 1e-11
 
 
 @dataclass(frozen=True)
