@@ -20,7 +20,8 @@ namespace {
 
 using namespace nb::literals;
 
-// Calls f<D, P>() for a rank, which tells the dimension.
+// Calls f<D, P>() for a rank. It tells the dimension, which must be that of the matrix: blocks have
+// as many rows in both.
 template <class F>
 auto with_rank(std::size_t rank, F f) {
   if (rank == 1) return f.template operator()<2, 1>();

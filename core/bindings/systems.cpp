@@ -125,16 +125,15 @@ Array<double> assembled_poses(GraphMatrix& matrix, const Topology& graph,
   require(!offsets || (offsets->shape(0) == m && offsets->shape(1) == measurements.shape(1)),
           "one offset an edge");
   const bool matrices = rotation.ndim() == 3;
-  require(matrices ? rotation.shape(1) == rotation.shape(2) : rotation.ndim() == 1,
-          "the rotations' weights must be (m,) or (m, d, d)");
   check_values(matrix, graph, values);
   std::vector<double> rhs(matrix.rows() * columns);
   {
     nb::gil_scoped_release release;
     with_group(measurements.shape(1), [&]<class Group>(Group*) {
       require(d == kLiftedRows, "blocks must have four rows");
-      require(!matrices || rotation.shape(1) == Group::kDimension,
-              "the rotations' weights must be (m,) or (m, d, d)");
+      require(matrices ? Group::kDimension == 3 && rotation.shape(1) == 3 && rotation.shape(2) == 3
+                       : rotation.ndim() == 1,
+              "the rotations' weights must be (m,), or (m, 3, 3) in 3D");
       assemble_pose_form<Group>(matrix, graph, measurements.data(), {rotation.data(), matrices},
                                 translation.data(), offsets ? offsets->data() : nullptr,
                                 values.data(), static_cast<int>(columns), rhs.data());

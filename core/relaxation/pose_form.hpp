@@ -31,8 +31,8 @@ LiftedBlock lifted_pose(const Group& z) {
   return out;
 }
 
-// What an edge's rotation costs: a number an edge, or a d x d matrix A, which need not be
-// symmetric, row by row.
+// What an edge's rotation costs: a number an edge, or in 3D a matrix A, which need not be symmetric,
+// row by row.
 struct RotationWeights {
   const double* values;
   bool matrices;
@@ -41,17 +41,9 @@ struct RotationWeights {
   template <int D>
   Eigen::Matrix<double, D, D> at(std::int64_t edge) const {
     using Square = Eigen::Matrix<double, D, D, Eigen::RowMajor>;
-    Square a = Square::Identity();
-    if (matrices) {
-      a = Eigen::Map<const Square>(values + edge * D * D);
-    } else {
-      a *= values[edge];
-    }
-    if constexpr (D == 2) {
-      const double curl = a(1, 0) - a(0, 1);
-      return (Square() << a.trace(), curl, -curl, a.trace()).finished();
-    }
-    return a;
+    if (matrices) return Eigen::Map<const Square>(values + edge * D * D);
+    // |R|^2 is 2 in 2D, where the complex number of a rotation has the length 1.
+    return Square::Identity() * (D == 2 ? 2 * values[edge] : values[edge]);
   }
 };
 

@@ -12,10 +12,10 @@ from masat.arrays import Floats
 from masat.assembly import AssembledGraph
 from masat.errors import InitializationError, OptimizationError
 from masat.graph import PoseGraph
-from masat.optimality.bounds import looks_global
+from masat.optimality.bounds import TIGHT, certified_gap
 from masat.optimality.cycles import AmbiguousCycles, rotation_residuals, rotation_weight
 from masat.optimality.relaxation import Relaxation
-from masat.optimality.search import lower_minimum
+from masat.optimality.search import exact_minimum, lower_minimum
 from masat.optimizers import Iteration, Result, optimize
 from masat.optimizers.equations import Equations, normal_equations
 from masat.optimizers.projection import ProjectedEquations
@@ -30,6 +30,8 @@ _FEW_ITERATIONS = 15
 _MOST_RISES = 2
 # Changes of chi2 below this fraction are near enough to a minimum for the check and for the search.
 _FIRST_TOLERANCE = 1e-4
+# The gap, as a fraction of chi2, that a certificate may have there.
+_NEAR_MINIMUM = 1e-3
 # After so many iterations chi2 of a graph without false edges is no more too large by this factor.
 _PATIENCE, _STRICTNESS = 3, 10.0
 # Operations of a factorization above which not even these iterations are made: some seconds on one
@@ -131,8 +133,9 @@ def best_minimum(
             if not is_small:
                 return _without_search(near.graph, progress)
         try:
-            if not progress.over and _is_plausible(near):
-                return Minimum(near.poses, True)
+            there = None if progress.over else _global_minimum(near, equations, progress)
+            if there is not None:
+                return Minimum(there.poses, True)
         except KeyboardInterrupt:
             progress.interrupt()
         doubts = describe_outliers(near.graph, "searched")
@@ -178,15 +181,22 @@ def _poses(graph: PoseGraph) -> Floats:
     return graph.poses
 
 
-def _is_plausible(near: Result) -> bool:
-    """Whether a minimum looks global.
+def _global_minimum(
+    near: Result, equations: _core.NormalEquations, progress: Progress
+) -> Result | None:
+    """Return the minimum near which an optimizer stopped early, if it looks global.
 
     Either the certificate of chi2 holds, or no cycle is ambiguous and the chordal one fails by
     little.
     """
-    if looks_global(near.graph, near.chi2):
-        return True
-    return Relaxation(near.graph).plausible(near.poses) and not _may_be_ambiguous(near)
+    gap = certified_gap(near.graph, near.chi2)
+    if gap <= TIGHT:
+        return near
+    if gap <= _NEAR_MINIMUM or (
+        Relaxation(near.graph).plausible(near.poses) and not _may_be_ambiguous(near)
+    ):
+        return exact_minimum(near.graph, equations, progress)
+    return None
 
 
 def _may_be_ambiguous(near: Result) -> bool:

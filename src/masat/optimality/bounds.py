@@ -18,8 +18,6 @@ TIGHT = 1e-6
 _ALLOWED = (0.0, TIGHT / 4, 1e-4, 1e-3, 1e-2, 0.1, 0.5)
 # And what one at a higher rank may, whose certificate fails by less.
 _ALLOWED_LIFTED = (0.0, TIGHT / 4, 2e-6, 1e-5, *_ALLOWED[2:])
-# The fraction of chi2 that is still to be gained where an optimizer stopped early, at most.
-_NEAR_MINIMUM = 1e-3
 _LIFTED_DECREASE = 1e-9
 
 
@@ -29,9 +27,9 @@ def chi2_bound(graph: PoseGraph, chi2: float) -> float:
     The surrogate that touches chi2 at the poses (`surrogates.tangent_surrogate`) exceeds chi2
     nowhere. With S the matrix of its Lagrangian and g its gradient at the poses, no poses cost less
     than these by more than <g, S^-1 g> if S is positive definite; a shift of S that makes it so
-    adds four times itself for each row of each rotation matrix. At a minimum of chi2 g is zero, so
-    that a positive definite S proves the minimum global. One factorization where S is positive
-    definite, up to seven where it is not.
+    adds four times itself for each rotation in 2D, and for each row of one in 3D. At a minimum of
+    chi2 g is zero, so that a positive definite S proves the minimum global. One factorization where
+    S is positive definite, up to seven where it is not.
 
     Parameters
     ----------
@@ -53,12 +51,17 @@ def chi2_bound(graph: PoseGraph, chi2: float) -> float:
     return TangentRelaxation(graph, chi2).bound(_ALLOWED)
 
 
-def looks_global(graph: PoseGraph, chi2: float) -> bool:
-    """Whether the certificate holds near the minimum at which an optimizer stopped early."""
+def certified_gap(graph: PoseGraph, chi2: float) -> float:
+    """Return how far the certificate, if it holds, leaves chi2 of a graph's poses above the lowest.
+
+    As a fraction of chi2, and 1 where it does not hold. Near a global minimum, where an optimizer
+    stopped early, the certificate mostly holds with a gap.
+    """
     try:
-        return chi2 - TangentRelaxation(graph, chi2).bound((0.0,)) <= _NEAR_MINIMUM * chi2
+        bound = TangentRelaxation(graph, chi2).bound((0.0,))
     except OptimizationError:
-        return False
+        return 1.0
+    return (chi2 - bound) / chi2 if chi2 > bound else 0.0
 
 
 def doubtful_nodes(graph: PoseGraph) -> Indices:
@@ -135,8 +138,10 @@ class TangentRelaxation:
 
     def rounded(self, unknowns: Floats) -> PoseGraph | None:
         """Return the graph at the poses nearest to unknowns, or None if they are not finite."""
-        poses = self._relaxation.poses(unknowns)
-        return self._graph.with_poses(poses) if np.isfinite(poses).all() else None
+        try:
+            return self._graph.with_poses(self._relaxation.poses(unknowns))
+        except InitializationError:
+            return None
 
     def _touched_less(self, x: Floats, below: float, allowed: tuple[float, ...]) -> float:
         """Return the best bound that unknowns give whose cost lies that far below the poses'."""

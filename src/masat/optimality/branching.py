@@ -28,8 +28,8 @@ from masat.progress import Progress
 # Pairs that divide a box, and boxes whose relaxation is minimized at a higher rank: more are not
 # worth their time. Most minima that can be proven take less than 20.
 _MAX_PAIRS, _MAX_LIFTED = 4, 60
-# Those times the operations of a factorization at that rank: about a minute on one core. Where
-# there is not enough for so many, none is begun.
+# Those times the operations of a factorization at that rank, a minute on one core with all that
+# goes with them. Where there is not enough for so many, none is begun.
 _MAX_OPERATIONS, _FEW_LIFTED = 6e10, 4
 # Boxes for each of those.
 _BOXES = 5
@@ -39,6 +39,9 @@ _ALLOWED = (0.0, TIGHT / 10)
 _ALLOWED_LIFTED = (TIGHT / 10, 1e-5, 3e-5, 1e-4, 2e-4, 5e-4, 1e-3)
 # Length of the product of two nodes' frames at a higher rank above which they do not mix.
 _UNMIXED = 0.99
+# What the edges of a box may exceed chi2 by, as a fraction of what its bound lacks, where narrower
+# arcs are of no use.
+_WORTHWHILE = 0.01
 # Radians: another pair divides a box only if all its arcs are narrower. Wide arcs bound little.
 _NARROW = 1.1
 # A smaller variance, as a fraction of those of the two nodes, is lost in rounding.
@@ -171,15 +174,17 @@ class _Branching:
         if nearer is not None:
             return [nearer]
         pair, length = _most_mixed(lifted.unknowns)
-        if pair not in box.arcs:
-            if box.arcs and (length > _UNMIXED or _width(box) > _NARROW):
-                return self._divided(box, self._widest(box), result.poses)
-            if len(box.arcs) == _MAX_PAIRS or not self._is_loose(pair):
+        missing = self._enough - (lifted.bound - exceeds)
+        if pair in box.arcs or (box.arcs and (length > _UNMIXED or _width(box) > _NARROW)):
+            # Narrower arcs raise the bound by what the edges exceed chi2 by at most.
+            if exceeds < _WORTHWHILE * missing:
                 return None
-            middle = self._angle(pair)
-            arcs = {**box.arcs, pair: (middle - np.pi, middle + np.pi)}
-            box = box._replace(arcs=arcs)
-        return self._divided(box, pair, result.poses)
+            return self._divided(box, pair if pair in box.arcs else self._widest(box), result.poses)
+        if len(box.arcs) == _MAX_PAIRS or not self._is_loose(pair):
+            return None
+        middle = self._angle(pair)
+        arcs = {**box.arcs, pair: (middle - np.pi, middle + np.pi)}
+        return self._divided(box._replace(arcs=arcs), pair, result.poses)
 
     def _lower_in(self, box: Box, chi2: float, rounded: PoseGraph | None) -> Box | None:
         """Return a box again, to begin at rounded poses, if these lead to a lower minimum of it."""

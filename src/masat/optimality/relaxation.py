@@ -26,9 +26,8 @@ from masat.optimality.surrogates import Surrogate, chordal_surrogate
 from masat.optimizers.translations import solve_translations
 
 # How far below zero, as a fraction of the median weight of a rotation, the certificate's
-# eigenvalues may lie at a minimum that looks global: at 0.1 m and rad of noise those of the study's
-# global minima mostly lie within the first. Beyond the second they mark where minima differ; beyond
-# the third, at 0.35 m and rad of noise, none of those lies.
+# eigenvalues may lie at a minimum that looks global. Beyond the second they mark where minima
+# differ; beyond the third, at 0.35 m and rad of noise, none of the study's global minima has any.
 _PLAUSIBLE, _UNCERTIFIED, _REFUTED = 5e-4, 0.02, 0.2
 # Diagonal entries, as a fraction of themselves, that a certificate can spare: what the rounding of
 # its factorization may hide.
@@ -217,13 +216,21 @@ class Relaxation:
         return _core.uncertified_nodes(self._matrix, self._assemble(x), own, fraction * self._scale)
 
     def poses(self, x: Floats) -> Floats:
-        """Return the poses nearest to unknowns of any rank, (n, 3) or (n, 7)."""
+        """Return the poses nearest to unknowns of any rank, (n, 3) or (n, 7).
+
+        Those of the fixed and gauge-fixed nodes are exactly the graph's.
+
+        Raises
+        ------
+        InitializationError
+            If the poses are not finite.
+        """
         d = self.graph.dimension
         rank, fixed = _RANK[d], self._fixed
         # In 2D a row each of the rotations and the translations, of complex numbers.
         flat = x[:, ::2] + 1j * x[:, 1::2] if d == 2 else x
-        held = flat[fixed, :, :rank]
         if x.shape[2] > rank:
+            held = flat[fixed, :rank, :rank]
             frames = flat[:, :rank].reshape(-1, x.shape[2])
             _, vectors = np.linalg.eigh(frames.conj().T @ frames)
             flat = flat @ vectors[:, : -rank - 1 : -1]
@@ -231,15 +238,19 @@ class Relaxation:
                 flat[:, :, -1] *= -1
             # The fixed nodes' frames lie in the first columns: turn the rest back to them.
             left, _, right = np.linalg.svd(
-                np.einsum("kij,kil->jl", flat[fixed, :rank].conj(), held[:, :rank])
+                np.einsum("kij,kil->jl", flat[fixed, :rank].conj(), held)
             )
             flat = flat @ (left @ right)
-        flat[fixed] = held
         if d == 2:
             rotation, translation = flat[:, 0, 0], flat[:, 1, 0]
-            return np.column_stack([translation.real, translation.imag, np.angle(rotation)])
-        poses = _core.nearest_rotations(np.ascontiguousarray(flat[:, :d].transpose(0, 2, 1)))
-        poses[:, :d] = flat[:, d]
+            poses = np.column_stack([translation.real, translation.imag, np.angle(rotation)])
+        else:
+            poses = _core.nearest_rotations(np.ascontiguousarray(flat[:, :d].transpose(0, 2, 1)))
+            poses[:, :d] = flat[:, d]
+        assert self.graph.poses is not None
+        poses[fixed] = self.graph.poses[fixed]
+        if not np.isfinite(poses).all():
+            raise InitializationError("the relaxation gave poses that are not finite")
         return poses
 
     def _assemble(self, x: Floats) -> Floats:
@@ -258,7 +269,7 @@ def polish(graph: PoseGraph) -> Floats:
     """Return the poses at the minimum of the chordal cost near those of a graph."""
     assert graph.poses is not None
     relaxation = Relaxation(graph)
-    return _with_fixed(graph, relaxation.poses(relaxation.polish(graph.poses).unknowns))
+    return relaxation.poses(relaxation.polish(graph.poses).unknowns)
 
 
 def lift(graph: PoseGraph, *, seed: int = 0) -> Floats:
@@ -287,14 +298,4 @@ def lift(graph: PoseGraph, *, seed: int = 0) -> Floats:
         return graph.poses
     x = relaxation.unknowns(graph.poses)
     top = relaxation.minimize_lifted(x, decrease=_LIFTED_DECREASE, seed=seed)
-    return solve_translations(graph, _with_fixed(graph, relaxation.poses(top.unknowns)))
-
-
-def _with_fixed(graph: PoseGraph, poses: Floats) -> Floats:
-    """Return poses with those of the fixed and gauge-fixed nodes exactly as in the graph."""
-    assert graph.poses is not None
-    fixed = graph.index(graph.gauge)
-    poses[fixed] = graph.poses[fixed]
-    if not np.isfinite(poses).all():
-        raise InitializationError("the relaxation gave poses that are not finite")
-    return poses
+    return solve_translations(graph, relaxation.poses(top.unknowns))

@@ -43,6 +43,8 @@ _SAME_MINIMUM = 1e-6
 # Edges from a node where the certificate fails, and from an edge of an ambiguous cycle, within
 # which nodes are lifted.
 _NODE_REACH, _EDGE_REACH = 6, 3
+# Nodes around a doubtful one that are lifted together: some milliseconds.
+_CHEAP_PART = 250
 # Those within which they are lifted at last, around all such nodes and around those where it fails
 # by much, one after the other; and the fractions of all nodes that a part may be then.
 _WIDER_REACH, _REFUTED_REACHES = 12, (12, 24, 48)
@@ -82,10 +84,12 @@ def lower_minimum(
 
     Nodes are lifted to a higher rank while the rest is fixed: those around the nodes where the
     certificate fails and around the edges of ambiguous cycles, each connected part by itself, as
-    long as that lowers chi2. Then each ambiguous cycle (`cycles.py`) is shifted by 2 pi against its
-    residual, a soft one the other way and by half a turn, too; in 3D the nodes around it are also
-    lifted. At last wider parts are lifted. Each trial that lowers chi2 is
-    kept at once; after a round with such a trial another round begins.
+    long as that lowers chi2. If chi2 is certified then, the search ends. If not, the nodes around
+    each doubtful node are lifted (`bounds.doubtful_nodes`), in 2D, and each ambiguous
+    cycle (`cycles.py`) where the certificate fails is shifted by 2 pi against its residual, a soft
+    one the other way and by half a turn, too; in 3D the nodes around it are also lifted. At last
+    wider parts are lifted. Each trial that lowers chi2 is kept at once; after a round with such a
+    trial another round begins.
 
     Parameters
     ----------
@@ -126,16 +130,21 @@ def lower_minimum(
                 doubtful = search.doubtful_nodes()
                 if len(doubtful) == 0:
                     break
-                lower = search.at_cycles(doubtful) or search.at_wider_parts()
+                lower = graph.dimension == 2 and search.at_doubtful_nodes(doubtful)
+                lower = lower or search.at_cycles(doubtful) or search.at_wider_parts()
             if progress.over or not lower:
                 break
             search.lowest.converge(_FIRST_TOLERANCE)
     except KeyboardInterrupt:
         progress.interrupt()
-    found = graph.with_poses(search.poses)
-    finish = partial(optimize, found, equations=equations, progress=progress)
+    return exact_minimum(graph.with_poses(search.poses), equations, progress)
+
+
+def exact_minimum(near: PoseGraph, equations: _core.NormalEquations, progress: Progress) -> Result:
+    """Return the minimum near which the poses of a graph are."""
+    finish = partial(optimize, near, equations=equations, progress=progress)
     end = finish("gauss_newton", relative_tolerance=1e-12, max_iterations=_FINAL_ITERATIONS)
-    if progress.over or (end.converged and end.chi2 <= search.chi2):
+    if progress.over or (end.converged and end.chi2 <= end.initial_chi2):
         return end
     # Gauss-Newton leaves the surroundings of some minima, but not the minimum itself.
     return finish("dogleg", relative_tolerance=0.0, max_iterations=_FINAL_DOGLEG_ITERATIONS)
@@ -195,10 +204,31 @@ class _Search:
         self._progress.tell(f"searching in {len(parts)} uncertified parts", self.chi2)
         return sum(self._lift_if_new(part) for part in parts) > 0
 
+    def at_doubtful_nodes(self, doubtful: Indices) -> bool:
+        """Lift what is around each doubtful node; return whether that lowered chi2.
+
+        As much as is cheap: a long chain of nodes may have to bend otherwise as a whole.
+        """
+        done = np.zeros(len(self.poses), np.bool_)
+        lower = False
+        for node in doubtful:
+            if done[node] or self._progress.over:
+                continue
+            self._progress.tell("searching around a doubtful node", self.chi2)
+            around = np.zeros_like(done)
+            around[node] = True
+            wider = neighborhood(self._graph, around)
+            while np.count_nonzero(around) < np.count_nonzero(wider) <= _CHEAP_PART:
+                around, wider = wider, neighborhood(self._graph, wider)
+            done |= around
+            around[self._graph.index(self._graph.gauge)] = False
+            lower |= self._lift_if_new(around)
+        return lower
+
     def at_cycles(self, doubtful: Indices) -> bool:
         """Shift the ambiguous cycles, most by 2 pi; return whether that lowered chi2.
 
-        Only those around doubtful nodes, of which some move wherever chi2 is lower.
+        Until chi2 is lower, only those around doubtful nodes, of which some move wherever it is.
         """
         cycles = list(islice(self._cycles.at(self.poses), self._cycles_left))
         long = [cycle for cycle in cycles if len(cycle.edges) >= LONG]
@@ -223,16 +253,16 @@ class _Search:
                 continue
             if self._cycles_left == 0 or self._progress.over:
                 break
-            self._cycles_left -= 1
-            self._progress.tell("searching around an ambiguous cycle", self.chi2)
             nodes = np.zeros(len(self.poses), np.bool_)
             for cycle, _ in shifts:
                 nodes |= rotating_nodes(self._relative(cycle))
                 if len(cycle.edges) >= LONG:
                     nodes |= cycle.nodes
             where = neighborhood(self._graph, nodes)
-            if not where[doubtful].any():
+            if not changed and not self._may_lower(where, doubtful):
                 continue
+            self._cycles_left -= 1
+            self._progress.tell("searching around an ambiguous cycle", self.chi2)
             cuts = [None, *(cut_edges(shifts[0][0]) if shifts[0][1] == 0 else ())]
             own = np.array([cycle.edge for cycle, _ in shifts])
             by = np.array([2 * np.pi * turns * cycle.axis for cycle, turns in shifts])
@@ -244,6 +274,15 @@ class _Search:
             else:
                 self._refused[key] = signed
         return len(changed) > 0
+
+    def _may_lower(self, where: Flags, doubtful: Indices) -> bool:
+        """Whether chi2 may be lower where only some nodes, (n,), move.
+
+        The doubtful nodes hold for a gauge that does not move, and where most nodes are free all
+        are.
+        """
+        moves = bool(where[doubtful].any() or where[self.lowest.movable].any())
+        return moves or bool(np.count_nonzero(where) > len(where) / 2)
 
     def _lift_if_new(self, nodes: Flags) -> bool:
         """Lift nodes, (n,), where that may help; return whether it lowered chi2.
