@@ -31,8 +31,8 @@ LiftedBlock lifted_pose(const Group& z) {
   return out;
 }
 
-// What an edge's rotation costs: a number an edge, or in 3D a matrix A, which need not be symmetric,
-// row by row.
+// What an edge's rotation costs: a number an edge, or in 3D a matrix A, which need not be
+// symmetric, row by row.
 struct RotationWeights {
   const double* values;
   bool matrices;
