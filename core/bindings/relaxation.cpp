@@ -52,8 +52,8 @@ Array<double> lifted_poses(const Table<double>& poses) {
   std::vector<double> out(n * size);
   with_group(poses.shape(1), [&]<class Group>(Group*) {
     for (std::size_t k = 0; k < n; ++k) {
-      Eigen::Map<LiftedBlock>{out.data() + k* size} =
-          lifted_pose(Group::load(poses.data() + k * Group::kSize));
+      Eigen::Map<LiftedBlock> block(out.data() + k * size);
+      block = lifted_pose(Group::load(poses.data() + k * Group::kSize));
     }
   });
   return as_array(std::move(out), {n, kLiftedRows, kLiftedRows});

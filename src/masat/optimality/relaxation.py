@@ -242,13 +242,15 @@ class Relaxation:
             )
             flat = flat @ (left @ right)
         if d == 2:
-            rotation, translation = flat[:, 0, 0], flat[:, 1, 0]
-            poses = np.column_stack([translation.real, translation.imag, np.angle(rotation)])
+            rotation, translation = flat[:, 0, 0], np.ascontiguousarray(flat[:, 1, 0])
+            rows = np.stack([rotation.real, rotation.imag, -rotation.imag, rotation.real], axis=1)
+            rows, positions = rows.reshape(-1, 2, 2), translation.view(np.float64).reshape(-1, 2)
         else:
-            poses = _core.nearest_rotations(np.ascontiguousarray(flat[:, :d].transpose(0, 2, 1)))
-            poses[:, :d] = flat[:, d]
+            rows, positions = flat[:, :d], flat[:, d]
         assert self.graph.poses is not None
-        poses[fixed] = self.graph.poses[fixed]
+        known = self.graph.poses.copy()
+        known[self._free, :d] = positions[self._free]
+        poses = linear.nearest_rotations(self.graph, known, rows)
         if not np.isfinite(poses).all():
             raise InitializationError("the relaxation gave poses that are not finite")
         return poses

@@ -130,6 +130,7 @@ def lower_minimum(
                 doubtful = search.doubtful_nodes()
                 if len(doubtful) == 0:
                     break
+                # In 3D nearly all nodes are doubtful where noise is high.
                 lower = graph.dimension == 2 and search.at_doubtful_nodes(doubtful)
                 lower = lower or search.at_cycles(doubtful) or search.at_wider_parts()
             if progress.over or not lower:

@@ -42,7 +42,7 @@ class Surrogate(NamedTuple):
     ----------
     measurements : ndarray, (m, 3) or (m, 7)
         The (R, t) of each edge.
-    rotation : ndarray, (m,) or (m, d, d)
+    rotation : ndarray, (m,), or (m, 3, 3) in 3D
         The kappa or the A of each edge.
     translation : ndarray, (m,)
         The tau of each edge.
